@@ -201,6 +201,14 @@ def find_twin(servo: str) -> Path:
     return known[servo]
 
 
+def find_guide(name: str) -> Path:
+    """The file of a packaged guide: questions that select a graph."""
+    known = _packaged("guides")
+    if name not in known:
+        raise UnknownNameError(f"guide {name}", "guide", name, known)
+    return known[name]
+
+
 def realities() -> dict[str, Path]:
     """Packaged sets of channel models (delays, noise, limits between controller and robot), by name."""
     return _packaged("realities")

@@ -28,9 +28,10 @@ from dmframe.common.names import latex_name
 from dmframe.common.text import text_of
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, Line, PrintedLaw, printed
-from dmframe.formula.alone import in_yaml, options_of, plainest
+from dmframe.formula.alone import in_yaml, options_of, simplest
 from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
+from dmframe.graph.progress import counting
 from dmframe.report.references import reference
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -69,15 +70,18 @@ READERS: Final = {
 }
 
 
-def write(folder: Path) -> list[Path]:
-    """Write all pages into a folder, which is made; returns their paths, the index first."""
+def write(folder: Path, names: Sequence[str] | None = None) -> list[Path]:
+    """Write the pages of all blocks, or of some, into a folder, which is made; returns their paths, the index first."""
     folder.mkdir(parents=True, exist_ok=True)
-    kinds = block_types()
-    texts = {"index": index(kinds), **{name: page(name, kind) for name, kind in kinds.items()}}
-    found = list[Path]()
-    for name, text in texts.items():
-        found.append(folder / f"{name}.md")
-        found[-1].write_text(text, encoding="utf-8")
+    kinds = {name: kind for name, kind in block_types().items() if names is None or name in names}
+    found = [folder / "index.md"]
+    found[0].write_text(index(kinds), encoding="utf-8")
+    with counting("pages of blocks", len(kinds), "pages") as count:
+        for number, (name, kind) in enumerate(kinds.items()):
+            count(number, name)
+            found.append(folder / f"{name}.md")
+            found[-1].write_text(page(name, kind), encoding="utf-8")
+        count(len(kinds), "")
     return found
 
 
@@ -135,7 +139,7 @@ def _side(kind: type[AbstractBlock]) -> str:
 
 def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
     """The equations from the code, those of each option, and the meaning of their signs."""
-    found = plainest(kind)
+    found = simplest(kind)
     options = dict[str, Sequence[Line]]()
     if found is not None:
         label, law = found

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -165,4 +166,6 @@ def fill(page: str) -> str:
 
 
 if __name__ == "__main__":
+    if wrong := list(faults(entries(), meanings())):
+        sys.exit("\n".join(wrong))
     PAGE.write_text(fill(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

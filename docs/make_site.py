@@ -110,6 +110,12 @@ def _quiet_kernels(folder: Path) -> None:
     os.environ["IPYTHONDIR"] = str(folder)
 
 
+def options() -> list[str]:
+    """Of Sphinx: in a terminal it counts the pages that it reads and writes, in one line."""
+    quiet = [] if sys.stdout.isatty() else ["-q"]
+    return ["-W", "--keep-going", *quiet, "-j", "2"]
+
+
 def main() -> int:
     """Returns Sphinx's status."""
     parser = argparse.ArgumentParser(description="Build the site.")
@@ -128,7 +134,7 @@ def main() -> int:
     _quiet_kernels(cache / "ipython")
     from sphinx.cmd.build import build_main
 
-    words = ["-W", "--keep-going", "-q", "-j", "2", "-c", str(DOCS), "-d", str(cache)]
+    words = [*options(), "-c", str(DOCS), "-d", str(cache)]
     status = build_main([*words, str(sources_folder), str(site)])
     for text in remote(site):
         sys.stderr.write(f"{text}\n")

@@ -3,8 +3,9 @@
     python docs/make_which.py [--draw | --laws] [GRAPH...]
 
 All facts of a row are computed from the graph, its verdict and a run; `which.yaml` contains only the use of each graph.
-Cells are stored in `which.csv`, `which_laws.csv` and `which_limits.csv`, from which ``--draw`` makes the tables
-without a run. With names only their rows and missing ones are computed; with ``--laws`` only those of competitors.
+Cells are stored in `which.csv` and `which_laws.csv`, which `dmframe which` reads too, and in `which_limits.csv`; from
+them ``--draw`` makes the tables without a run. With names only their rows and missing ones are computed; with
+``--laws`` only those of competitors. The first table is made of the answers of `dmframe which`.
 """
 
 from __future__ import annotations
@@ -21,25 +22,28 @@ from ruamel.yaml import YAML
 
 import dmframe as dm
 from dmframe.block.port import Side
-from dmframe.catalogue import find_graph
+from dmframe.catalogue import find_graph, find_guide
 from dmframe.common.errors import listed
 from dmframe.common.names import unicode_name
 from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
+from dmframe.graph.which import Guide, Rule, digits, guide, rows_of, short_verdict
 from dmframe.results.metrics import goal_of
 from dmframe.simulate.keep import rotation_distance_of
 from dmframe.simulate.warnings import warning_signals
 
 DOCS = Path(__file__).parent
 PAGE, WORDS = DOCS / "how_to" / "which.md", DOCS / "which.yaml"
-TABLE, LAWS, LIMITS = DOCS / "which.csv", DOCS / "which_laws.csv", DOCS / "which_limits.csv"
+GUIDES = find_guide("which").parent
+TABLE, LAWS, LIMITS = GUIDES / "which.csv", GUIDES / "which_laws.csv", DOCS / "which_limits.csv"
 FACTS: Final = ("follows", "robot", "servo", "takes", "clock", "measured", "known", "learnt")
 HEADS: Final = ("graph", *FACTS, "proved", "error")
 FIGURES: Final = ("rms_final", "unit", "diverged_at", "at_limits")
-LAW_HEADS: Final = ("law", "circle", *FIGURES)
+LAW_HEADS: Final = ("law", "circle", "graph", *FIGURES)
 LIMIT_HEADS: Final = ("law", "reality", *FIGURES, "room", "says")
 REALITIES: Final = ("none", "ur")
+ANSWERS_BEGIN, ANSWERS_END = "<!-- answers: begin -->", "<!-- answers: end -->"
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 LAWS_BEGIN, LAWS_END = "<!-- laws: begin -->", "<!-- laws: end -->"
 LIMITS_BEGIN, LIMITS_END = "<!-- limits: begin -->", "<!-- limits: end -->"
@@ -199,12 +203,6 @@ def shown(value: float, unit: str) -> str:
     return f"{digits(scale * value)}{sign}"
 
 
-def digits(value: float) -> str:
-    """Three significant ones without an exponent."""
-    places = max(0, 2 - int(f"{value:e}".partition("e")[2]))
-    return f"{value:.{min(places, 6)}f}"
-
-
 def law_of(cell: str | Mapping[str, Any], on: str) -> dm.Graph:
     """The controller of a cell on the plant, path and clock of a packaged graph."""
     if isinstance(cell, str):
@@ -254,7 +252,9 @@ def figures(run: dm.Run, graph: dm.Graph) -> dict[str, Any]:
 
 def law_row(law: Mapping[str, Any], k: int, circle: Mapping[str, str]) -> dict[str, Any]:
     """The result of a law on a circle."""
-    cell, row = law["cells"][circle.get("cell", k)], {"law": law["title"], "circle": circle["title"]}
+    cell = law["cells"][circle.get("cell", k)]
+    named = cell if isinstance(cell, str) else cell.get("of", "")
+    row = {"law": law["title"], "circle": circle["title"], "graph": named}
     graph = law_of(cell, circle["on"])
     if "servo" in circle:
         if "dq_c" not in {port.name for port in graph.blocks["servo"].inputs}:
@@ -292,13 +292,37 @@ def table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]
         row = by_name[name]
         when = f"{word['when']}<br>[`{name}`]({word['page']})"
         interface = f"{row['servo']}, {row['takes']}, {row['clock']}"
-        cells = [when, row["error"], in_short(row["proved"]), row["follows"], row["robot"], interface]
+        cells = [when, row["error"], short_verdict(row["proved"]), row["follows"], row["robot"], interface]
         yield f"| {' | '.join([*cells, row['measured'], row['known'], row['learnt']])} |"
 
 
-def in_short(headline: str) -> str:
-    """The headline; of a proof over samples its first part, since the page states the restrictions once."""
-    return headline.partition(",")[0] if headline.startswith("proved over samples") else headline
+def answer_table(found: Guide, texts: Mapping[str, Any]) -> Iterator[str]:
+    """The table of answers, in their order; a condition that is not stated holds for any answer."""
+    heads = ["servo", "period", "path", "load", "known"]
+    yield f"| {' | '.join([*heads, 'take', 'error, mm: ideal / `ur`', 'reason'])} |"
+    yield "|" + "---|" * (len(heads) + 3)
+    for rule in found.rules:
+        given = [", ".join(rule.when[key]) if key in rule.when else "any" for key in found.questions]
+        yield f"| {' | '.join([*given, *_answer(found, rule, texts), rule.because])} |"
+
+
+def _answer(found: Guide, rule: Rule, texts: Mapping[str, Any]) -> tuple[str, str]:
+    """The cells of the graphs and their errors, one line a class of periods if these differ."""
+    kinds, servo = dict(rule.graphs()), rule.when.get("servo", ("unknown",))[0]
+    names = {kind: f"[`{name}`]({texts['graphs'][name]['page']})" for kind, name in kinds.items()}
+    return _by_kind(names), _by_kind({kind: _errors(found, name, servo, kind) for kind, name in kinds.items()})
+
+
+def _by_kind(cells: Mapping[str, str]) -> str:
+    """A line for each class of periods; one alone if they are equal."""
+    if len(set(cells.values())) == 1:
+        return next(iter(cells.values()))
+    return "<br>".join(f"{kind}: {cell}" for kind, cell in cells.items())
+
+
+def _errors(found: Guide, name: str, servo: str, kind: str) -> str:
+    take = found.taken(name, servo, kind)
+    return "-" if take.ideal is None or take.ur is None else f"{digits(1e3 * take.ideal)} / {digits(1e3 * take.ur)}"
 
 
 def law_table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:
@@ -341,12 +365,6 @@ def _cell(row: Mapping[str, str]) -> str:
     return f"**{rms}**, at limits {100 * share:.0f} % of the time" if share >= 0.01 else rms
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    """The stored rows."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def write(path: Path, heads: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     """Write rows."""
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -364,6 +382,7 @@ def fill(
 ) -> str:
     """The page with its tables put in."""
     parts = (
+        (ANSWERS_BEGIN, ANSWERS_END, answer_table(guide(), texts)),
         (BEGIN, END, table(rows, texts)),
         (LAWS_BEGIN, LAWS_END, law_table(laws, texts)),
         (LIMITS_BEGIN, LIMITS_END, limit_table(limits, texts)),
@@ -376,7 +395,7 @@ def fill(
 
 def draw() -> None:
     """The page from the stored rows."""
-    text = fill(PAGE.read_text(encoding="utf-8"), read(TABLE), read(LAWS), read(LIMITS), words())
+    text = fill(PAGE.read_text(encoding="utf-8"), rows_of(TABLE), rows_of(LAWS), rows_of(LIMITS), words())
     PAGE.write_text(text, encoding="utf-8")
 
 
@@ -386,7 +405,7 @@ def main(arguments: list[str]) -> None:
     if wrong := list(faults(texts, dm.graphs())):
         sys.exit("\n".join(wrong))
     if not {"--draw", "--laws"} & set(arguments):
-        kept = {row["graph"]: row for row in read(TABLE)} if names and TABLE.exists() else {}
+        kept = {row["graph"]: row for row in rows_of(TABLE)} if names and TABLE.exists() else {}
         for name in texts["graphs"]:
             if name not in kept or name in names:
                 kept[name] = row_of(name)

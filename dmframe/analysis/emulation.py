@@ -70,7 +70,7 @@ class EmulationLimit:
         """Definition of the factors."""
         return (
             f"factor on {self.gain} for which T times the largest eigenvalue of Gamma Y_d' w Y_d is 2, T the sampling "
-            "period: above it, the Euler step of the adaptation is unstable; a quasi-static estimate, no proof"
+            "period: above it, the Euler step of the adaptation is unstable; a quasi-static estimate, not a proof"
         )
 
     @property
@@ -115,10 +115,10 @@ def _adapting(diagram: Diagram) -> Iterator[tuple[str, str]]:
         if port != TORQUE or not isinstance(source, Wire) or INVERSE not in diagram.models[inverse].states:
             continue
         model = diagram.models[source.block]
-        learns = any(item.name in model.equations.rates for item in model.estimates)
+        adapts = any(item.name in model.equations.rates for item in model.estimates)
         if (
             diagram.blocks[source.block].side is Side.CONTROLLER
-            and learns
+            and adapts
             and {REGRESSOR, SLIDING} <= set(model.inputs)
         ):
             yield source.block, inverse
@@ -171,7 +171,7 @@ def _growth(diagram: Diagram, block: str, estimate: str) -> Any:
     """(Y_d, w) -> largest eigenvalue of the torque rate of the adaptation, weighted by w."""
     model = diagram.models[block]
     x, sigma, Y = model.states[estimate], model.inputs[SLIDING], model.inputs[REGRESSOR]
-    learns = -ca.jacobian(ca.vec(model.equations.rates[estimate]), ca.vec(sigma))
+    updates = -ca.jacobian(ca.vec(model.equations.rates[estimate]), ca.vec(sigma))
     acts = ca.jacobian(ca.vec(model.equations.outputs[TORQUE]), ca.vec(x))
     everything = {**model.states, **model.inputs, **model.parameters}
     zero = {name: np.zeros(symbol.shape) for name, symbol in everything.items() if symbol is not Y}
@@ -180,7 +180,7 @@ def _growth(diagram: Diagram, block: str, estimate: str) -> Any:
     robot = [] if model.robot is None else [(c.symbol, model.robot.values()[c.name]) for c in model.robot.constants]
     # the elements of a symmetric gain occur twice, but function arguments must be unique
     pairs = [*(unique(kinds.get(name), everything[name], np.asarray(values[name])) for name in zero), *robot]
-    slopes = ca.Function("slopes", [Y, *(symbol for symbol, _ in pairs)], [learns, acts])
+    slopes = ca.Function("slopes", [Y, *(symbol for symbol, _ in pairs)], [updates, acts])
 
     def largest(regressor: Array, w: Array) -> float:
         gain, action = (np.asarray(part.full()) for part in slopes(regressor, *(value for _, value in pairs)))

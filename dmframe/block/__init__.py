@@ -25,5 +25,5 @@ def __dir__() -> list[str]:
 
 
 def _author() -> Any:
-    """The module with the names; `from dmframe.block import author` would look for it here first."""
+    """The module with the names, imported by its path: `from dmframe.block import author` would call `__getattr__`."""
     return import_module("dmframe.block.author")

@@ -54,7 +54,7 @@ class AdaptingBlock(AbstractBlock):
 
         raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
         for name in _options(cls).keys() & inspect.get_annotations(cls):
-            raise BlockError(f"{cls.__name__}: declares the parameter {name}, which it is given; leave it out")
+            raise BlockError(f"{cls.__name__}: declares the parameter {name}, which the framework adds; remove it")
         before = () if "states" in vars(cls) else [state for base in cls.__mro__[1:] for state in _made(base)]
         cls.states = (*(state for state in cls.states if state not in before), *_made(cls))
         fields = cls.model_fields
@@ -156,7 +156,7 @@ class AdaptingBlock(AbstractBlock):
         return replace(whole, **{role: getattr(whole, role) + terms for role, terms in vars(added).items()})
 
     def _error(self, u: Signals, x: Signals, p: Signals, stated: Equations) -> SX:
-        """The error that drives the adaptation; zero for a block that names none."""
+        """The error that drives the adaptation; zero for a block without `driven_by`."""
         starts = self.error(u, x, p)
         if starts is not None:
             return starts
@@ -261,7 +261,7 @@ def _known(method: str, starts: Mapping[str, Any], estimates: Iterable[Adapted],
     for name in starts:
         if name not in known:
             raise BlockError(
-                f"{owner}: {method} returns {name}, which is none of its estimates; {nearest(name, known)}"
+                f"{owner}: {method} returns {name}, which is not one of its estimates; {nearest(name, known)}"
             )
     return starts
 
@@ -273,7 +273,7 @@ def _hold(what: str, starts: Mapping[str, Any], estimates: Iterable[Adapted], ow
         raise BlockError(f"{owner}: {what} {type(starts).__name__}; expected values by estimate")
     for name in names:
         if name not in known:
-            raise BlockError(f"{owner}: {what} {name}, which is none of its estimates; {nearest(name, known)}")
+            raise BlockError(f"{owner}: {what} {name}, which is not one of its estimates; {nearest(name, known)}")
     for name, item in known.items():
         if name not in names and not item.optional:
             raise BlockError(f"{owner}: {what} {', '.join(names) or 'nothing'}, and omits the estimate {name}")

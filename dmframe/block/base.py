@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
@@ -29,6 +29,10 @@ from dmframe.common.names import Element
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
+
+
+TRUE_VALUES: Final = "true values that `truth` declares and this diagram has"
+"""Kind of the signals that the analysis alone may read."""
 
 
 @final
@@ -52,7 +56,9 @@ class Signals:
                     f'number annotate it as {name}: Scalar = Real(unit="..."), for one per joint as {name}: Diagonal = '
                     f'Positive("n", "..."); read an option as self.{name}'
                 ) from None
-            text = f"{self._owner}: its equations read {name}, which is none of its {self._kind}"
+            true = self._kind == TRUE_VALUES
+            read, whose = ("certificate reads", "the") if true else ("equations read", "its")
+            text = f"{self._owner}: its {read} {name}, which is none of {whose} {self._kind}"
             raise BlockError(f"{text}; {nearest(name, self._values)}") from None
 
     def __contains__(self, name: str) -> bool:
@@ -99,7 +105,7 @@ def with_estimates(stated: Certificate, x: Signals) -> Certificate:
     """A certificate with the squares of its estimates' errors in its storage."""
     for name, true in stated.estimates.items():
         if name not in x:
-            text = f"{owner_of(x)}: certificate() gives a true value for {name}, which is none of its states"
+            text = f"{owner_of(x)}: certificate() gives a true value for {name}, which is not one of its states"
             raise BlockError(f"{text}; {nearest(name, x)}")
         if isinstance(true.value, ca.SX | ca.MX) and ca.depends_on(true.value, getattr(x, name)):
             raise BlockError(f"{owner_of(x)}: certificate() gives a true value for {name} that depends on {name}")
@@ -162,7 +168,7 @@ class AbstractBlock(BaseModel):
         except ValidationError as error:
             raise_all(parameter_faults(type(self), error, type_name(type(self))))
 
-    if not TYPE_CHECKING:  # to a type checker a block has what it declares
+    if not TYPE_CHECKING:  # for a type checker, a block has only its declared attributes
 
         def __getattr__(self, name: str) -> Any:
             """Raise for a missing attribute; reading a number of a copy without numbers is an error in the block."""

@@ -87,9 +87,9 @@ class StableLinear(Expressions):
     bounded
         Signals that are bounded if z is: columns.
     otherwise
-        Conditions that replace it where boundedness is not shown.
+        Conditions that replace it if boundedness is not shown.
     of
-        Printed names of the bounded signals; the framework makes them from the expressions.
+        Printed names of the bounded signals; the framework derives them from the expressions.
     inputs
         Unknown external inputs, one per equation, such as the force of an environment. If r is not shown to be bounded,
         r without its input has to be, and `otherwise` states the assumption on the input.
@@ -133,7 +133,8 @@ class Certificate(Expressions):
     Parameters
     ----------
     storage
-        S is *half* the sum of these terms. Over samples it holds sampled states of the block and parameters alone.
+        S is *half* the sum of these terms. In discrete time it contains only sampled states of the block and
+        parameters.
     dissipation
         Dissipation; each term is non-negative.
     supply
@@ -199,7 +200,7 @@ class Certificate(Expressions):
 
     @property
     def pieces(self) -> tuple[SX, ...]:
-        """All its expressions but true values and unknown constants."""
+        """All its expressions except true values and unknown constants."""
         return tuple(ca.SX(piece) for name in _MAPPED for piece in pieces_of(getattr(self, name)))
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
@@ -279,7 +280,7 @@ _FORMER: Final[Mapping[str, tuple[str, Any]]] = {
     "Kept": ("DelayLine", DelayLine),
     "Relation": ("PlantIdentity", PlantIdentity),
 }
-"""Former public names, what replaces each, and the object that they still give."""
+"""Former public names, their replacements, and the objects that the former names still return."""
 
 
 def __getattr__(name: str) -> Any:

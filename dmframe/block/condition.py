@@ -1,6 +1,6 @@
 """Conditions of a block's proof: inequalities that values decide, and assumptions that a graph cannot decide.
 
-Their texts are words; a text with formulas is a `dmframe.common.text.sentence`.
+The texts are plain text; a text with formulas is a `dmframe.common.text.sentence`.
 """
 
 from __future__ import annotations

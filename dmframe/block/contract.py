@@ -63,7 +63,7 @@ def _mistyped(block: type[AbstractBlock]) -> Iterator[str]:
         try:
             block.model_rebuild()
         except PydanticUndefinedAnnotation as error:
-            yield f"expected annotations that its module knows, found {error.name}; import it there"
+            yield f"expected annotations that are defined in its module, found {error.name}; import it there"
             return
     for name, spec in specs(block).items():
         wrong = list(_misfit(spec, f"of the parameter {name}"))
@@ -120,7 +120,7 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     for port in block.outputs:
         if port.rounded_by and port.rounded_by not in (names := list(specs(block))):
             hint = nearest(port.rounded_by, names)
-            yield f"the output {port.name} is declared rounded by {port.rounded_by}, no parameter; {hint}"
+            yield f"the output {port.name} is rounded by {port.rounded_by}, which is not a parameter; {hint}"
         elif port.rounded_by and not port.instead_of:
             yield f"the output {port.name} is declared rounded, but replaces no input; add instead_of"
     inputs = {port.name for port in block.inputs}
@@ -133,7 +133,7 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     present = set(names_of(block))
     for old, new in block.renamed.items():
         if new not in present:
-            yield f"declares {old} as renamed to {new}, which is no parameter, state or port; {nearest(new, present)}"
+            yield f"declares {old} renamed to {new}, which is not a parameter, state or port; {nearest(new, present)}"
         if old in present:
             yield f"declares {old} as renamed to {new}, and still has {old}"
     for reader in block.inputs:
@@ -143,7 +143,7 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     for output in block.outputs:
         for word, declared, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
             if declared and block.side is not side:
-                yield f"declares that {output.name} {word}, but it is no output of a {side.value}; remove that"
+                yield f"declares that {output.name} {word}, but is no {side.value} output; remove the declaration"
     yield from _ahead_breaches(block)
     yield from _replacing_breaches(block)
     yield from _print_breaches(block)
@@ -162,13 +162,13 @@ def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
         if of not in inputs:
             yield f"the input {port.name} is declared {of} some samples later, unknown; {nearest(of, inputs)}"
         elif inputs[of].ahead_of:
-            yield f"the input {port.name} is {of} some samples later, which looks ahead itself; count from the present"
+            yield f"the input {port.name} is {of} some samples later, itself a future value; use the present one"
         elif block.side is Side.PLANT:
-            yield f"the input {port.name} looks ahead, which a plant cannot do; read {of}, or make it a controller"
+            yield f"the input {port.name} looks ahead, impossible in a plant; read {of}, or make it a controller"
         elif port.ahead < 1:
             yield f"the input {port.name} is {of} {port.ahead} samples later; expected 1 or more"
         elif port.drawn or port.derivative_of:
-            yield f"the input {port.name} looks ahead, and is drawn or a derivative too; choose one"
+            yield f"the input {port.name} looks ahead, and is also drawn or a derivative; choose one"
         elif (inputs[of].shape, inputs[of].unit) != (port.shape, port.unit):
             yield f"the input {port.name} is {of} some samples later, and has another shape or unit"
 
@@ -180,10 +180,10 @@ def _replacing_breaches(block: type[AbstractBlock]) -> Iterator[str]:
         if not port.instead_of:
             continue
         if block.side is not Side.PLANT:
-            yield f"the output {port.name} replaces {port.instead_of}, and the block is no plant; make it one"
+            yield f"the output {port.name} replaces {port.instead_of}, but the block is not a plant; declare it as one"
         elif (original := inputs.get(port.instead_of)) is None:
             near = nearest(port.instead_of, inputs)
-            yield f"the output {port.name} replaces {port.instead_of}, which is no input; {near}"
+            yield f"the output {port.name} replaces {port.instead_of}, which is not an input; {near}"
         elif (original.shape.split(), original.unit) != (port.shape.split(), port.unit):
             yield f"the output {port.name} replaces {port.instead_of}, and has another shape or unit"
 
@@ -191,22 +191,22 @@ def _replacing_breaches(block: type[AbstractBlock]) -> Iterator[str]:
 def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     """Invalid declarations of estimates in an adaptive block."""
     if block.estimates and not hasattr(block, "driven_by"):
-        yield "declares estimates, and is no AdaptingBlock"
+        yield "declares estimates, but is not an AdaptingBlock"
     inputs, numbers = [port.name for port in block.inputs], specs(block)
     signals = ["", *inputs, *(port.name for port in block.outputs)]
     if (driven_by := getattr(block, "driven_by", "")) not in signals:
-        yield f"is driven by {driven_by}, which is no input and no output; {nearest(driven_by, signals[1:])}"
+        yield f"is driven by {driven_by}, which is neither an input nor an output; {nearest(driven_by, signals[1:])}"
     for item in block.estimates:
         if item.gain not in numbers:
             near = nearest(item.gain, numbers)
-            yield f"the gain of the estimate {item.name} is {item.gain or 'none'}, which is no parameter; {near}"
+            yield f"the gain of the estimate {item.name} is {item.gain or 'none'}, which is not a parameter; {near}"
         if item.nominal and item.nominal not in inputs:
             near = nearest(item.nominal, inputs)
-            yield f"the estimate {item.name} starts at {item.nominal}, which is no input; {near}"
+            yield f"the estimate {item.name} starts at {item.nominal}, which is not an input; {near}"
 
 
 def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """Names that print alike or contain look-alike letters."""
+    """Names with the same printed form, or with look-alike letters."""
     names = list(dict.fromkeys([*names_of(block), *(port.name for port in block.truth)]))
     for one, other in distinct(names):
         yield f"its names {one} and {other} both print as {unicode_name(one)}; rename one"
@@ -214,7 +214,7 @@ def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:
         if not name.isidentifier():
             yield f"expected a name such as K_star, found {name!r}"
         elif strange := look_alikes(name):
-            yield f"the name {name!a} holds {strange!a}, no Latin and no known Greek letter; some look like those"
+            yield f"the name {name!a} contains {strange!a}, not a Latin or known Greek letter, which it may resemble"
 
 
 def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:
@@ -248,18 +248,18 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     balls = [name for name, spec in numbers.items() if spec.form == "ball"]
     for state in block.states:
         if state.box and state.box not in boxes:
-            yield f"the box of {state.name} is {state.box}, which is no Interval parameter; {nearest(state.box, boxes)}"
+            yield f"the box of {state.name} is {state.box}, not an Interval parameter; {nearest(state.box, boxes)}"
         if state.ball and state.ball not in balls:
             near = nearest(state.ball, balls)
-            yield f"the ball of {state.name} is {state.ball}, which is no Around parameter; {near}"
+            yield f"the ball of {state.name} is {state.ball}, which is not an Around parameter; {near}"
         if state.ball and state.gain not in numbers:
-            yield f"the gain of {state.name}, with a ball, is no parameter; {nearest(state.gain, numbers)}"
+            yield f"the gain of {state.name}, with a ball, is not a parameter; {nearest(state.gain, numbers)}"
         if state.bodies and (state.bodies not in numbers or numbers[state.bodies].sign != "> 0"):
             near = nearest(state.bodies, [name for name, spec in numbers.items() if spec.sign == "> 0"])
-            yield f"the fraction of bodies of {state.name} is {state.bodies}, which is no Positive parameter; {near}"
+            yield f"the fraction of bodies of {state.name} is {state.bodies}, which is not a Positive parameter; {near}"
         inputs = [port.name for port in block.inputs]
         if state.bodies and state.nominal not in inputs:
             near = nearest(state.nominal, inputs)
-            yield f"the nominal bodies of {state.name} are {state.nominal}, which is no input; {near}"
+            yield f"the nominal bodies of {state.name} are {state.nominal}, which is not an input; {near}"
         if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
             yield f"the parameter {state.name} and the state that it initialises have different shapes"

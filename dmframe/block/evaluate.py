@@ -108,7 +108,7 @@ def _bound(sizes: Sizes, label: str, item: Signal | State, array: np.ndarray) ->
 @final
 @dataclass(frozen=True)
 class _Functions:
-    """Equations as functions of the block's inputs and states, with the numbers that are not given."""
+    """Equations as functions of the block's inputs and states, and default values of those that are not given."""
 
     given: Mapping[tuple[str, str], Any]
     fixed: Sequence[ca.DM]
@@ -126,11 +126,11 @@ class _Functions:
 
 
 _KEPT: dict[int, tuple[Any, _Functions]] = {}
-"""The last functions of each living block, by its identity: a loop over samples evaluates the same ones again."""
+"""The last functions of each existing block, by its identity: a loop over samples uses the same ones at each sample."""
 
 
 def _functions(block: AbstractBlock, sizes: Sizes, chain: Any, values: Mapping[str, np.ndarray]) -> _Functions:
-    """The functions of a block for a robot and sizes; those of a block with a mutable value are not kept."""
+    """The functions of a block for a robot and sizes; those of a block with a mutable value are not cached."""
     key = type(block).equations, chain, tuple((letter, size) for letter, (size, _) in sizes.bound.items())
     kept = _KEPT.get(id(block))
     if kept is not None and kept[0] == key:

@@ -109,8 +109,8 @@ def fault_context(name: str, what: str) -> Iterator[None]:
         yield
     except (DmframeError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # a user's block may raise anything, SystemExit too
-        # without the text of the lines, for which their files would be read
+    except BaseException as error:  # a user's block may raise any exception, including SystemExit
+        # the text of the lines is left out, since it would require reading the files
         frames = traceback.StackSummary.extract(traceback.walk_tb(error.__traceback__), lookup_lines=False)
         frame = [frames[-1], *(frame for frame in frames if not _foreign(Path(frame.filename)))][-1]
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "no reason given"
@@ -124,5 +124,7 @@ FOREIGN = ("casadi", "numpy")
 
 
 def _foreign(file: Path) -> bool:
-    framework = file.is_relative_to(Path(__file__).parents[1]) or file.name == "<string>"  # code of dataclasses
+    framework = (
+        file.is_relative_to(Path(__file__).parents[1]) or file.name == "<string>"
+    )  # "<string>": code of dataclasses
     return framework or bool(set(FOREIGN) & set(file.parts))

@@ -33,12 +33,12 @@ class Expressions:
     def pieces(self) -> tuple[Any, ...]:
         """Its expressions, field by field."""
         own: Any = type(self)
-        return tuple(pieces_of([getattr(self, name) for name in _holding(own)]))
+        return tuple(pieces_of([getattr(self, name) for name in _expression_fields(own)]))
 
     def with_pieces(self, pieces: Sequence[Any]) -> Self:
-        """The same with other expressions."""
+        """The same object with other expressions."""
         own, left = type(self), iter(pieces)  # type: Any, Iterator[Any]
-        changed: Any = {name: refilled(getattr(self, name), left) for name in _holding(own)}
+        changed: Any = {name: refilled(getattr(self, name), left) for name in _expression_fields(own)}
         return replace(self, **changed)  # type: ignore[type-var]  # each subclass is a data class
 
 
@@ -66,13 +66,13 @@ def refilled(value: Any, pieces: Iterator[Any]) -> Any:
 
 
 @cache
-def _holding(of: type) -> tuple[str, ...]:
+def _expression_fields(of: type) -> tuple[str, ...]:
     """The fields that hold expressions."""
-    return tuple(name for name, kind in _kinds(of).items() if _is_held(kind))
+    return tuple(name for name, kind in _kinds(of).items() if _has_expressions(kind))
 
 
-def _is_held(kind: Any) -> bool:
-    return kind is Any or (get_origin(kind) is tuple and _is_held(get_args(kind)[0]))
+def _has_expressions(kind: Any) -> bool:
+    return kind is Any or (get_origin(kind) is tuple and _has_expressions(get_args(kind)[0]))
 
 
 @cache
@@ -107,7 +107,7 @@ def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def _fits(kind: Any, value: Any) -> bool:
-    """True for a value without a `fault_of` it, whose text takes most of the time."""
+    """True if `fault_of` would report no fault; faster, since no text is made."""
     origin, parts = _parts(kind)
     if origin is tuple and type(value) is tuple:
         return all(_fits(parts[0], item) for item in value)
@@ -117,7 +117,7 @@ def _fits(kind: Any, value: Any) -> bool:
 
 
 def _is(kind: Any, value: Any) -> bool:
-    """True for a value of exactly that type, not of an author's subclass, which could mean something else."""
+    """True for a value of exactly that type; an instance of an author's subclass could have another meaning."""
     if kind is Any:
         numbers = isinstance(value, np.ndarray) and value.ndim <= 2 and value.dtype.kind in "iuf"
         return numbers or (isinstance(value, EXPRESSIONS) and not isinstance(value, bool))

@@ -89,7 +89,7 @@ def solve_spd(A: Any, b: Any) -> Any:
 
 def _substituted(L: Any, d: Any, b: Any) -> list[Any]:
     """Forward and back substitution."""
-    rows, rest = list[Any](), b  # one matrix, changed in place, would be copied at each change
+    rows, rest = list[Any](), b  # a single matrix changed in place would be copied at each change
     for j in range(L.shape[0]):
         rows.append(rest[0, :])
         rest = rest[1:, :] - L[j + 1 :, j] @ rows[j]
@@ -104,7 +104,7 @@ def _substituted(L: Any, d: Any, b: Any) -> list[Any]:
 def inverse_factors(A: Any) -> tuple[Any, Any]:
     r"""The unrolled factors of the inverse of a symmetric positive definite matrix, :math:`A^{-1} = M^\top N`.
 
-    They take a third of the operations of the inverse, in whose place they stand where it is multiplied with columns.
+    They need a third of the operations of the inverse, and replace it in products with columns.
 
     Parameters
     ----------
@@ -131,14 +131,14 @@ def _inverted_factors(L: Any, d: Any) -> list[Any]:
 
 
 def _called(stated: Callable[..., list[Any]], *given: Any) -> list[Any]:
-    """The expressions of a function of matrices; its operations are stated once for each pattern of zeros."""
+    """Expressions of a function of matrices; its operations are created once for each sparsity pattern."""
     patterns = (tuple(item.sparsity().compress()) for item in given)
-    return list(_stated_once(stated, *patterns).call(list(given)))
+    return list(_function_of(stated, *patterns).call(list(given)))
 
 
 @lru_cache(maxsize=64)
-def _stated_once(stated: Callable[..., list[Any]], *patterns: tuple[int, ...]) -> Any:
-    """A CasADi function: where it is called on SX, the operations are CasADi's own, in the same order."""
+def _function_of(stated: Callable[..., list[Any]], *patterns: tuple[int, ...]) -> Any:
+    """CasADi function of the operations; a call with SX arguments performs them in the same order."""
     symbols = [ca.SX.sym("given", ca.Sparsity.compressed(pattern)) for pattern in patterns]
     return ca.Function("linear", symbols, stated(*symbols))
 
@@ -152,7 +152,7 @@ def _factors(A: Any) -> tuple[Any, Sequence[Any]]:
 
 
 def nodes(A: Any) -> tuple[Any, ...]:
-    """Identity of an SX: equal for two that are the same expression, node by node."""
+    """Identity of an SX expression: equal for two expressions with the same nodes."""
     return A.shape, tuple(A.sparsity().find()), tuple(item.element_hash() for item in A.nonzeros())
 
 

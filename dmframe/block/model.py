@@ -18,7 +18,7 @@ from dmframe.block.linalg import Inverted, inverting, nodes
 from dmframe.block.parameter import specs
 from dmframe.block.port import Adapted, Side, Signal, State
 from dmframe.block.sizes import Sizes
-from dmframe.block.steady import hold_steady, same_expression, stated_equations
+from dmframe.block.steady import check_steady, same_expression, stated_equations
 from dmframe.block.symmetric import symmetric_symbol
 from dmframe.common.errors import BlockError, nearest
 from dmframe.common.interrupts import Insistent
@@ -32,7 +32,7 @@ SYMBOLIC: Final = Insistent()
 class BlockModel:
     """A block's equations, evaluated once on symbols.
 
-    `starts` are the initial values that parameters give, ``w_0`` for the state w; one that the equations read is also
+    `starts` are the initial values set by parameters, ``w_0`` for the state w; one that the equations read is also
     among the `parameters`. `inverted` are the matrices that the equations invert.
     """
 
@@ -58,7 +58,7 @@ class BlockModel:
 
     @cached_property
     def identities(self) -> Mapping[str, set[int]]:
-        """Those of each state's scalar symbols."""
+        """Identities of the scalar symbols of each state."""
         return {name: symbols_in([symbol]) for name, symbol in self.states.items()}
 
     @property
@@ -69,12 +69,14 @@ class BlockModel:
     def stated_start(self, sizes: Sizes) -> Mapping[str, SX] | str:
         """Initial values of the block's states in its own symbols, with truths; or the name of an unknown symbol."""
         u, _, p = self.signals()
-        known = {port.name: symbol(port.name, sizes.of(port.shape)) for port in self.block.truth if sizes.knows(port)}
+        known = {
+            port.name: symbol(port.name, sizes.of(port.shape)) for port in self.block.truth if sizes.has_sizes_of(port)
+        }
         try:
             with fault_context(self.name, "start()"):
                 stated = self.block.composed_start(u, p, Signals(self.name, "truths of known size", known))
             return {name: ca.SX(value) for name, value in stated.items()}
-        except BlockError as fault:  # a run that needs the start raises it
+        except BlockError as fault:  # raised again by a run that needs the initial values
             return fault.text
 
     def needs(self, expression: SX) -> tuple[str, ...]:
@@ -97,13 +99,13 @@ class BlockModel:
 def symbols_in(expressions: Iterable[SX]) -> set[int]:
     """Identities of the scalar symbols on which expressions depend."""
     given = list(expressions)
-    alone = len(given) == 1 and isinstance(given[0], ca.SX)  # the usual case; a copy takes as long as the rest
-    column = given[0] if alone else ca.veccat(ca.SX(0, 1), *given)
+    single = len(given) == 1 and isinstance(given[0], ca.SX)  # the usual case; a copy would double the time
+    column = given[0] if single else ca.veccat(ca.SX(0, 1), *given)
     return {symbol.element_hash() for symbol in ca.symvar(column)}
 
 
 def depending(expressions: Sequence[SX], on: Collection[int]) -> list[bool]:
-    """Whether each scalar depends on a symbol with one of these identities, in one pass over what they share."""
+    """Whether each scalar depends on a symbol with one of these identities, in one pass over common subexpressions."""
     column = ca.veccat(ca.SX(0, 1), *expressions)
     symbols = [symbol for symbol in ca.symvar(column) if symbol.element_hash() in on]
     if not symbols:
@@ -112,7 +114,7 @@ def depending(expressions: Sequence[SX], on: Collection[int]) -> list[bool]:
 
 
 def with_starts(values: Mapping[str, np.ndarray], states: Collection[str]) -> dict[str, np.ndarray]:
-    """A block's numbers; those that are initial values of states appear again under the names that equations read."""
+    """A block's numbers; initial values of states are repeated under the names that equations read."""
     return {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
 
 
@@ -121,7 +123,7 @@ def symbol(name: str, size: tuple[int, ...]) -> SX:
     return ca.SX.sym(name, *(size or (1,)))
 
 
-def _plain(name: str, value: np.ndarray) -> SX:
+def _plain_symbol(name: str, value: np.ndarray) -> SX:
     return symbol(name, value.shape)
 
 
@@ -153,7 +155,7 @@ def model_block(
     states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
     gains = {key for key, spec in specs(type(block)).items() if spec.form == "gain"}
     parameters = {
-        key: (symmetric_symbol if key in gains and value.ndim == 2 else _plain)(f"{name}.{key}", value)
+        key: (symmetric_symbol if key in gains and value.ndim == 2 else _plain_symbol)(f"{name}.{key}", value)
         for key, value in values.items()
         if key not in states
     }
@@ -165,7 +167,7 @@ def model_block(
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
     with inverting(inverted):
-        hold_steady(
+        check_steady(
             name,
             block,
             "equations() state",
@@ -188,24 +190,24 @@ def model_block(
 
 @final
 class Recalled:
-    """A robot model that caches its answers, which take most of the time of a build."""
+    """A robot model that caches its results, which take most of the time of a build."""
 
     def __init__(self, robot: Any) -> None:
-        self._robot, self._answers = robot, dict[Any, tuple[Any, Any]]()
+        self._robot, self._results = robot, dict[Any, tuple[Any, Any]]()
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._robot, name)
         if not callable(found):
             return found
 
-        def answer(*given: Any, **named: Any) -> Any:
+        def result(*given: Any, **named: Any) -> Any:
             key = (name, *map(_identity, given), *((word, _identity(value)) for word, value in named.items()))
-            if key not in self._answers:  # the stored arguments keep their identities valid
-                self._answers[key] = (found(*given, **named), (given, named))
-            kept = self._answers[key][0]
-            return ca.SX(kept) if isinstance(kept, ca.SX) else kept  # a caller may write into it
+            if key not in self._results:  # the stored arguments keep their identities unique
+                self._results[key] = (found(*given, **named), (given, named))
+            kept = self._results[key][0]
+            return ca.SX(kept) if isinstance(kept, ca.SX) else kept  # a copy, since the caller may change it
 
-        return answer
+        return result
 
 
 def _identity(value: Any) -> Any:
@@ -226,8 +228,8 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
     stepped = [state for state in moving if state.name in stated.second]
     for key in stated.second.keys() - {state.name for state in moving if block.side is Side.CONTROLLER}:
         raise BlockError(
-            f"{name}: equations state the second term of {key}, which takes no step of a clock; expected a state in "
-            "continuous time of a controller"
+            f"{name}: equations state the second term of {key}, which has no step on a clock; expected a continuous "
+            "state of a controller"
         )
     return Equations(
         _checked(name, "output", block.outputs, stated.outputs, sizes),
@@ -238,10 +240,10 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
 
 
 _OTHERWISE: Final = {
-    "rate": "a sampled state; state its next value, or declare it without sampled",
-    "next value": "a state in continuous time; state its rate, or declare it with sampled=True",
+    "rate": "which is a sampled state; state its next value, or declare it without sampled",
+    "next value": "which is a continuous state; state its rate, or declare it with sampled=True",
 }
-"""Message where the equations state a rate of a sampled state, or a next value of a continuous one."""
+"""Message if the equations state a rate of a sampled state, or a next value of a continuous one."""
 
 
 def _checked(
@@ -250,7 +252,9 @@ def _checked(
     known = {item.name: item for item in declared}
     for key in stated:
         if key not in known:
-            raise BlockError(f"{name}: equations state the {kind} of {key}, undeclared; {nearest(key, known)}")
+            raise BlockError(
+                f"{name}: equations state the {kind} of {key}, which is not declared; {nearest(key, known)}"
+            )
     checked = {}
     for key, item in known.items():
         if key not in stated:
@@ -259,7 +263,11 @@ def _checked(
             raise BlockError(f"{name}: equations leave out the {kind} of {key}")
         try:
             expression = ca.SX(stated[key])
-        except (NotImplementedError, RuntimeError, TypeError):  # what CasADi raises at what is no expression
+        except (
+            NotImplementedError,
+            RuntimeError,
+            TypeError,
+        ):  # raised by CasADi for an object that is not an expression
             found = type(stated[key]).__name__
             raise BlockError(f"{name}: expected the {kind} of {key} to be an expression, found {found}") from None
         unbound = [word for word in item.shape.split() if not word.isdigit() and word not in sizes.bound]

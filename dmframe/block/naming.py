@@ -1,4 +1,4 @@
-"""Names for parts of a law, and operations that print as one sign.
+"""Names of sub-expressions of a law, and operations that are printed as one symbol.
 
 A law is printed from the methods that run: they are evaluated once more, with one symbol for each port, state,
 parameter and true parameter. `named` and `operation` define the result of that evaluation, and have no effect in a run.
@@ -126,9 +126,9 @@ def named(name: str, expression: Expression) -> Expression:
 @final
 @dataclass(frozen=True)
 class Operation:
-    """A function that prints as one sign: `sign` is its notation (see `dmframe.formula.read`), or the function's name.
+    """A function printed as one symbol: `sign` is its notation (see `dmframe.formula.read`), or the function's name.
 
-    `given` are the names of a robot's arguments; `description` has the names of the arguments and the description.
+    `given` are the names of a robot's arguments; `description` contains the argument names and the description.
     `function` is the function of an `operation`, which identifies it, since another may have the same name.
     """
 
@@ -177,13 +177,13 @@ def _check_name(function: Callable[..., Any]) -> None:
     """Raise `NamingError` for an invalid name, or one that prints as another function."""
     name = function.__name__
     if not name.isidentifier() or iskeyword(name) or look_alikes(name):
-        raise NamingError(f"expected a function with a name such as saturated, found {name!a}, which would be printed")
+        raise NamingError(f"expected a function with a name such as saturated, found {name!a} for the printed law")
     if name in RESERVED:
         raise NamingError(f"the name {name} prints as another function; rename the operation")
 
 
 def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
-    """Decorate a function of expressions so that it prints as one sign: ``norm(a)``, not the root of a sum of squares.
+    """Decorate a function of expressions so that it is printed as one symbol: ``norm(a)`` instead of its formula.
 
     All its arguments are expressions or numbers, given by position. In a run it is called directly. The first line of
     its docstring is printed next to the law. Raises `NamingError` for a name that prints as another function.
@@ -214,7 +214,7 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
 
 
 def derivative(expression: Expression, by: Expression) -> Expression:
-    """Jacobian of a column with respect to symbols, which prints as one sign, with named parts as their names."""
+    """Jacobian of a column with respect to symbols, printed as one symbol; named sub-expressions print as names."""
     naming = _reading.get()
     meant = expression
     for symbol, meaning in reversed(naming.definitions.values()) if naming is not None else ():

@@ -34,6 +34,7 @@ def without_numbers(block: B, owner: str) -> B:
     """A copy of the block with its options only; reading a numeric parameter raises `BlockError`.
 
     Reading values computed from numbers raises it too: private attributes and cached properties.
+    Reading a value computed from numbers, a private attribute or a cached property, raises it too.
     """
     kind, numbers = type(block), specs(type(block))
     kept = {key: value for key, value in vars(block).items() if key in kind.model_fields and key not in numbers}

@@ -1,7 +1,7 @@
 """Parameters of blocks: numbers with shape, unit and sign, read from a graph file or from Python.
 
-A block declares ``Gamma: Diagonal = Positive("p")``. The number stays a named symbol, ``dynamics.Gamma``, in every
-expression that comes out of the diagram; the value only enters a run.
+A block declares ``Gamma: Diagonal = Positive("p")``. Every expression of the diagram contains the number as a named
+symbol, ``dynamics.Gamma``; its value is used in a run only.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from dmframe.common.units import Stated, joint_quantity, of_sliding, to_unit
 Scalar = float
 """One number."""
 Diagonal = float | tuple[float, ...]
-"""A positive diagonal matrix, or a column: one number stands for all its elements."""
+"""A positive diagonal matrix, or a column; a single number sets all elements."""
 Gain = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | Prior
-"""A symmetric positive definite matrix: its rows, its diagonal, one number for that, or a model's prior."""
+"""A symmetric positive definite matrix: its rows, its diagonal, a number times the identity, or a model's prior."""
 Vector = tuple[float, ...]
-"""A column whose elements are all written out."""
+"""A column with all elements listed."""
 Table = tuple[tuple[float, ...], ...]
 """Rows of numbers."""
 Box = tuple[Diagonal, Diagonal] | None
-"""An interval, lower and upper end, for each element; none means no bound."""
+"""An interval with a lower and an upper bound for each element; none for no bound."""
 
 Ball = tuple[Diagonal, Diagonal] | None
-"""A centre, and a radius or the half axes of an ellipsoid; none means no bound."""
+"""A centre, and a radius or the semi-axes of an ellipsoid; none for no bound."""
 
 KEY = "x-dmframe"
 
 
 PAIRS = {"box": "an interval [lower, upper]", "ball": "a ball [centre, radius]"}
-"""Forms of two numbers, or lists of them, by how they are written."""
+"""Parameter forms with two numbers or lists, and how they are written."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """What a parameter is: shape and unit as of a port, the sign it must have, and how it is written.
+    """Declaration of a parameter: shape and unit as of a port, required sign, and form of its value.
 
-    `several`: its number is used for quantities of several units, each in SI's, and `unit` is that of one of them.
+    `several`: the number is used for quantities with different SI units; `unit` is one of them.
     """
 
     shape: str
@@ -58,45 +58,45 @@ class Spec:
 
     @property
     def of_joints(self) -> bool:
-        """True for angles, or their rates, one a joint: where a joint slides it is a length."""
+        """True for joint angles or their rates; for a prismatic joint the quantity is a length."""
         return self.shape.split()[-1:] == ["n"] and bool(of_sliding(self.unit))
 
 
 def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = True) -> Any:
-    """A parameter of any sign. `spread`: one number may stand for all elements."""
+    """A parameter of any sign. `spread`: one number may set all elements."""
     return _field(Spec(shape, unit, "", "diagonal" if spread else "vector"), default)
 
 
 def Positive(shape: str = "", unit: str = "", *, default: Any = ..., several: bool = False) -> Any:
-    """A parameter whose elements are above zero. `several`: its number is used for quantities of several units."""
+    """A parameter with positive elements. `several`: its number is used for quantities with different units."""
     return _field(Spec(shape, unit, "> 0", several=several), default)
 
 
 def PositiveDefinite(shape: str, unit: str = "") -> Any:
-    """A gain: a symmetric positive definite matrix, or the diagonal of one; in equations a column where it is that."""
+    """A gain: a symmetric positive definite matrix, or its diagonal, which is a column in equations."""
     return _field(Spec(shape, unit, "> 0", "gain"), ...)
 
 
 def NonNegative(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
-    """A parameter whose elements are zero or above."""
+    """A parameter with nonnegative elements."""
     return _field(Spec(shape, unit, ">= 0"), default)
 
 
 def Interval(shape: str = "", unit: str = "", *, default: Any = None, several: bool = False) -> Any:
-    """A box ``[lower, upper]`` for a state of this shape; left out without a default, the state is not bounded.
+    """A box ``[lower, upper]`` for a state of this shape; the state has no bound if neither value nor default is given.
 
-    `several`: its ends are used for quantities of several units.
+    `several`: its bounds are used for quantities with different units.
     """
     return _field(Spec(shape, unit, "", "box", several), default)
 
 
 def Around(shape: str = "", unit: str = "") -> Any:
-    """A ball ``[centre, radius]`` for a state of this shape, or an ellipsoid ``[centre, half axes]``; or no bound."""
+    """A ball ``[centre, radius]`` for a state of this shape, an ellipsoid ``[centre, semi-axes]``, or no bound."""
     return _field(Spec(shape, unit, "", "ball"), None)
 
 
 def Rows(columns: str, unit: str = "", *, count: str = "*", default: Any = ...) -> Any:
-    """Rows of numbers, each as long as the letter says; their count is free, or the letter `count`."""
+    """Rows of numbers; `columns` is the letter of their length, `count` the letter of their number, ``*`` for any."""
     return _field(Spec(f"{count} {columns}", unit, "", "table"), default)
 
 
@@ -105,7 +105,7 @@ def _field(spec: Spec, default: Any) -> Any:
 
 
 def spec_of(field: FieldInfo) -> Spec | None:
-    """The `Spec` of a pydantic field, or None where it is no number (an option, a name)."""
+    """The `Spec` of a pydantic field; None if the field is not a number (an option, a name)."""
     extra = field.json_schema_extra
     return Spec(**extra[KEY]) if isinstance(extra, dict) and KEY in extra else None  # type: ignore[arg-type]  # `asdict` above
 
@@ -117,9 +117,9 @@ def specs(block: type[BaseModel]) -> dict[str, Spec]:
 
 
 def read(value: Any, spec: Spec) -> Any:
-    """A parameter's value in its own unit, from numbers, texts such as ``"90 ms"`` and lists of them.
+    """A parameter's value in its own unit, from numbers, strings such as ``"90 ms"`` and lists of these.
 
-    Raises `ValueError` with what was expected and found.
+    Raises `ValueError` with the expected and the found value.
     """
     if value is None and spec.form in PAIRS:
         return None
@@ -134,7 +134,7 @@ def read(value: Any, spec: Spec) -> Any:
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
     last = spec.shape.split()[-1] if spec.shape else ""
     row = numbers[0] if depth == 2 else numbers
-    if last.isdecimal() and depth and len(row) != int(last):  # a size that no graph binds, and blocks may count on
+    if last.isdecimal() and depth and len(row) != int(last):  # a fixed size, on which blocks may rely
         rows = "rows of " if depth == 2 else ""
         raise ValueError(f"expected {rows}{last} numbers{_in(spec)}, found {len(row)} in {_shown(value)}")
     return numbers
@@ -163,14 +163,14 @@ def _numbers(value: Any, spec: Spec) -> Any:
 
 
 def with_stated(checked: Any, read: Any) -> Any:
-    """Numbers that pydantic has checked, with the units in which those of joints were stated."""
+    """Validated numbers, with the units in which joint quantities were stated."""
     if isinstance(read, tuple) and isinstance(checked, tuple) and len(read) == len(checked):
         return tuple(map(with_stated, checked, read))
     return read if isinstance(read, Stated) else checked
 
 
 def joint_faults(value: Any, spec: Spec, joints: Sequence[Any]) -> Iterator[str]:
-    """What is wrong with the units of a value by joint: one that turns has an angle, one that slides a length."""
+    """Faults of units in a list over joints: a revolute joint requires an angle, a prismatic one a length."""
     if isinstance(value, tuple) and any(isinstance(item, tuple) for item in value):
         for item in value:
             yield from joint_faults(item, spec, joints)
@@ -181,9 +181,7 @@ def joint_faults(value: Any, spec: Spec, joints: Sequence[Any]) -> Iterator[str]
         wanted = of_sliding(spec.unit) if known and joints[k].kind == "prismatic" else spec.unit
         if getattr(item, "unit", wanted) != wanted:
             what = (
-                f"{joints[k].name}: it {'turns' if wanted == spec.unit else 'slides'}"
-                if known
-                else "a joint that turns"
+                f"{joints[k].name}: it {'turns' if wanted == spec.unit else 'slides'}" if known else "a revolute joint"
             )
             yield f"expected a quantity in {wanted} for {what}; found {float(item):.6g} {item.unit}"
 
@@ -193,7 +191,7 @@ def _pair(numbers: Any, value: Any, spec: Spec) -> tuple[Any, Any]:
         raise ValueError(f"expected {PAIRS[spec.form]}, found " + _shown(value))
     first, second = numbers
     if _depth(first) == _depth(second) == 1 and len(first) != len(second):
-        names = "lower ends as upper ones" if spec.form == "box" else "coordinates of the centre as half axes"
+        names = "lower bounds as upper bounds" if spec.form == "box" else "coordinates of the centre as semi-axes"
         raise ValueError(f"expected as many {names}, found {len(first)} and {len(second)}")
     if spec.form == "box" and np.any(np.asarray(first) > np.asarray(second)):
         raise ValueError(f"expected lower <= upper, found {_shown(value)}")
@@ -215,7 +213,7 @@ def _gain(value: Any, spec: Spec) -> Any:
         try:
             check_definite(rows)
         except OverflowError:
-            raise ValueError(f"expected a matrix of numbers nearer to 1, found {_shown(value)}") from None
+            raise ValueError(f"expected a matrix with elements of moderate size, found {_shown(value)}") from None
         return rows
     if _depth(rows) not in (0, 1):
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
@@ -233,7 +231,7 @@ def _prior(value: Mapping[str, Any]) -> Prior:
 
 
 def _depth(value: Any) -> int:
-    """How deep lists are nested; -1 where they are ragged."""
+    """Nesting depth of lists; -1 if they are ragged."""
     if not isinstance(value, tuple):
         return 0
     depths, lengths = {_depth(item) for item in value}, {len(item) for item in value if isinstance(item, tuple)}
@@ -245,7 +243,7 @@ def _form(spec: Spec) -> str:
     if spec.form in PAIRS:
         return f"{PAIRS[spec.form]}{unit}"
     if spec.form == "table":
-        return f"a list of rows of equally many numbers{unit}"
+        return f"a list of rows of equal length{unit}"
     if spec.form == "vector":
         return f"a list of numbers{unit}"
     if spec.form == "gain":
@@ -258,7 +256,7 @@ def _in(spec: Spec) -> str:
 
 
 def _shown(value: Any) -> str:
-    """The value as its file writes it."""
+    """The value as it is written in its file."""
     if value is None:
         return "nothing"
     text = str(value).lower() if isinstance(value, bool) else repr(value)
@@ -266,11 +264,11 @@ def _shown(value: Any) -> str:
 
 
 def array(value: Any, spec: Spec, size: Sequence[int]) -> np.ndarray:
-    """The value as an array of the size that the diagram has bound; one number fills it.
+    """The value as an array of the bound size; a single number fills it.
 
-    A box gains a last axis of two, lower and upper end; a ball too, centre and radius. A gain that is a full matrix has
-    two axes of the size.
-    Raises `ValueError` where the size does not fit.
+    A box has a last axis of two, lower and upper bound, and so has a ball, centre and radius. A gain that is a full
+    matrix has two axes of that size.
+    Raises `ValueError` if the size does not match.
     """
     if spec.form in PAIRS:
         ends = [array(end, Spec(spec.shape, spec.unit), size) for end in value]

@@ -11,10 +11,10 @@ from dmframe.common.names import Element as Element
 
 @final
 class Access(StrEnum):
-    """Who may read an output.
+    """Which blocks may read an output.
 
-    A closed robot outputs what it measures and accepts commands; all other signals stay on their side of the boundary
-    between controller and plant.
+    A closed robot outputs its measurements and accepts commands; all other signals are visible only on their side of
+    the boundary between controller and plant.
     """
 
     INTERNAL = "internal"
@@ -34,14 +34,14 @@ class Side(StrEnum):
     SOURCE = "source"
     """A function of time alone: a desired trajectory."""
     CONTROLLER = "controller"
-    """Reads what is measured, writes what is commanded."""
+    """Reads measured signals and outputs commands."""
     PLANT = "plant"
     """Closed: the manufacturer's servo, the robot, and the channels between them and the controller."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Fields that inputs and outputs share.
+    """Common fields of inputs and outputs.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Signal:
         it. The chain rule uses such an output as the rate of the other output, or of the signal that drives the other
         input.
     optional
-        Of an input: it is zero where it has no wire. Of an output: the block may leave it out.
+        Of an input: it is zero without a wire. Of an output: the block may omit it.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Input(Signal):
     ----------
     drawn
         Of an input without a wire, the distribution from which each sample draws every element: ``normal`` (mean 0,
-        variance 1) or ``uniform`` (from -1 to 1). The run's seed decides the numbers.
+        variance 1) or ``uniform`` (from -1 to 1). The run's seed determines the numbers.
     ahead_of, ahead
         The input of the same block that this one is, `ahead` whole samples later. It needs no wire: the other one has
         to be a source's signal, whose future is known. A block with such an input is discrete-time.
@@ -103,8 +103,8 @@ class Output(Signal):
         input read this output. A measured output replaces it for controllers, any other for the plant. Several blocks
         that replace one signal form a chain in the order of the file.
     rounded_by
-        Of an output with `instead_of`: the parameter that holds the steps to which that input is rounded,
-        step floor(input / step + 1/2), as by an encoder. `analyse` uses the mean of the rounding and reports it; it
+        Of an output with `instead_of`: the parameter with the steps to which that input is rounded,
+            step floor(input / step + 1/2), as by an encoder. `analyse` uses the mean of the rounding and reports it; it
         treats any other rounding as a switch.
     notice
         Of an output that is zero in normal operation, the notice printed for a run in which it is not zero.
@@ -128,9 +128,9 @@ class Output(Signal):
 @final
 @dataclass(frozen=True, slots=True)
 class Port:
-    """The former class of inputs and outputs, with the fields of both; a block's class makes `Input` or `Output` of it.
+    """The former class of inputs and outputs, with the fields of both; a block's class converts it.
 
-    Write `Input` or `Output` instead: they take only the fields that apply.
+    Write `Input` or `Output` instead: they have only the fields that apply.
     """
 
     name: str
@@ -184,18 +184,19 @@ class State:
         It is constant between samples, and `Equations.next` gives its value at the next sample. Otherwise the state is
         continuous, and `Equations.rates` gives its derivative.
     box
-        Name of the parameter that holds the interval onto which the state is projected, where there is one.
+        Name of the parameter with the interval onto which the state is projected, if there is one.
     ball
-        Name of the parameter that holds the ball onto which the state is projected, where there is one.
+        Name of the parameter with the ball onto which the state is projected, if there is one.
     gain
         Of a state with a ball, the name of the parameter that is its adaptation gain; the projection uses the metric
         of its inverse.
     bodies
         Of a state that starts with the inertial parameters of the robot's links, ten per link: name of the parameter
-        that holds the fraction of the nominal pseudo-inertia that is the lower bound of each link's pseudo-inertia,
-        where there is one.
+        with
+            the fraction of the nominal pseudo-inertia that is the lower bound of each link's pseudo-inertia, if there
+            is one.
     nominal
-        Of a state with `bodies`, the input that holds the nominal estimates; they have to be constant.
+        Of a state with `bodies`, the input with the nominal estimates, which must be constant.
     optional
         The block may omit it, by not stating its rate.
     """
@@ -232,7 +233,7 @@ class Adapted:
     gain
         The parameter that is its adaptation gain. Its inverse is the weight of the estimation error in V.
     nominal
-        The input that gives its initial value where no parameter does.
+        The input with its initial value, if no parameter sets it.
     box, ball
         Whether it may be projected onto an interval, and onto a ball: the parameters ``w_box`` and ``w_ball`` of w.
     memory

@@ -1,4 +1,4 @@
-"""Parts of a certificate over samples: delay lines, identities of the plant, and the command that acted."""
+"""Discrete-time terms of a certificate: delay lines, plant identities, and the applied command."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from dmframe.block.fields import Expressions
 @final
 @dataclass(frozen=True, eq=False)
 class DelayLine(Expressions):
-    """A sampled state that stores earlier samples: the newest first, the others pushed back, the oldest dropped.
+    """A sampled state that stores earlier samples: the newest is inserted first, and the oldest is dropped.
 
     Parameters
     ----------
     state
-        The state's name: a matrix filled with matrices of the newest's size, stacked in rows or in columns.
+        Name of the state: a matrix of entries of the newest one's size, stacked in rows or in columns.
     newest
-        The entry of this sample.
+        Entry of the present sample.
     when
-        Where it is zero the state keeps its value.
+        Condition for storing; the state is unchanged if it is zero.
     """
 
     state: str
@@ -32,7 +32,7 @@ class DelayLine(Expressions):
 
     @property
     def always(self) -> bool:
-        """True where it is filled at each sample."""
+        """True if an entry is stored at each sample."""
         when = ca.SX(self.when)
         return bool(when.is_scalar() and when.is_one())
 
@@ -46,7 +46,7 @@ class DelayLine(Expressions):
         return pushed if self.always else ca.if_else(self.when, pushed, state)
 
     def fits(self, state: SX) -> bool:
-        """True for a state that holds a whole number of entries."""
+        """True if the state has room for an integer number of entries."""
         sizes = list(zip(self.newest.shape, state.shape, strict=True))
         return any(a == b for a, b in sizes) and all(a and b % a == 0 for a, b in sizes)
 
@@ -56,8 +56,8 @@ class DelayLine(Expressions):
 class PlantIdentity(Expressions):
     r"""An identity of the plant at every instant between two samples, for all commands: :math:`\dot p + r = 0`.
 
-    Integrated over a sample it is :math:`(p(t + T) - p(t)) / T + \langle r \rangle = 0`: the regression from which an
-    estimator learns, whose rows approximate these means.
+    Integrated over a sample it is :math:`(p(t + T) - p(t)) / T + \langle r \rangle = 0`: the regression equation of an
+    estimator, whose rows approximate these means.
 
     Parameters
     ----------
@@ -74,18 +74,18 @@ class PlantIdentity(Expressions):
 @final
 @dataclass(frozen=True, eq=False)
 class Acted(Expressions):
-    """The command of the sample that is over, as rows hold it: a delay that is configured, of which the plant decides.
+    """The command applied during the previous sample, as used in the rows; the plant determines the true one.
 
     Parameters
     ----------
     held
-        What the rows hold as that command: a column of sampled states of the block.
+        Command used in the rows: a column of sampled states of the block.
     command
-        What the plant applies between two samples: a column of its own signals.
+        Command applied by the plant between two samples: a column of its own signals.
     seen
-        The measured position by which the block knows what the sample did.
+        Measured position from which the block computes the motion during the sample.
     position
-        The position itself: a column of states of the plant.
+        Position: a column of states of the plant.
     """
 
     held: SX

@@ -28,28 +28,28 @@ from dmframe.common.units import shorten
 from dmframe.robot.rational import decimal
 
 LARGEST: Final = 10_000
-"""The largest number that a block may bind a letter to; graphs whose expressions have more elements are not built."""
+"""Largest number that a letter can be bound to; graphs with larger expressions are not built."""
 
 
 @final
 class Sizes:
-    """The number bound to each letter, and the name of what bound it first."""
+    """The number bound to each letter, and the name of the block or robot that bound it first."""
 
     def __init__(self) -> None:
         self.bound: dict[str, tuple[int, str]] = {}
 
     def bind(self, letter: str, size: int, by: str, path: tuple[str, ...] = ()) -> ShapeError | None:
-        """Bind a letter, or return the fault where it is bound to another number."""
+        """Bind a letter; return the fault if it is bound to another number."""
         known, first = self.bound.setdefault(letter, (size, by))
         if known == size:
             return None
         return ShapeError(f"{by}: expected {letter} = {known} (bound by {first}), found {size}", path=path)
 
     def of(self, shape: str) -> tuple[int, ...]:
-        """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
+        """The numbers of a shape: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
         return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
 
-    def knows(self, item: Signal | State) -> bool:
+    def has_sizes_of(self, item: Signal | State) -> bool:
         """Whether all letters of its shape are bound."""
         return all(word.isdigit() or word in self.bound for word in item.shape.split())
 
@@ -93,9 +93,9 @@ def bind_sizes(
 
 
 def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
-    """The letters that a block binds by itself."""
+    """Letters that a block binds by itself."""
     try:
-        bare = without_numbers(block, name)  # no sweep of a number gives a diagram of other sizes
+        bare = without_numbers(block, name)  # sizes must not depend on numbers, which a sweep changes
         with fault_context(name, "elements()"):
             _check_elements(name, bare.elements(robot))
         with fault_context(name, "sizes()"):
@@ -216,6 +216,6 @@ def prior_rows(prior: Prior, blocks: Mapping[str, AbstractBlock], robot: Any) ->
 
 def _too_large(prior: Prior) -> str:
     return (
-        f"inverse_of: with scale {prior.scale:g} and others {prior.others:g} the gain's elements leave the range of "
-        "numbers; take numbers nearer to 1"
+        f"inverse_of: with scale {prior.scale:g} and others {prior.others:g} the gain's elements exceed the range of "
+        "numbers; choose more moderate values"
     )

@@ -24,7 +24,7 @@ from dmframe.block.parameter import specs
 from dmframe.common.errors import BlockError
 
 Stating = Callable[[AbstractBlock], Mapping[str, Any]]
-"""Evaluates a method of a block: the returned parts, each with its description."""
+"""Evaluates a method of a block; returns its results with a description of each."""
 
 _PARTS: Final = {"outputs": "output", "rates": "rate", "next": "next value", "second": "second term"}
 """Fields of `Equations` with the description of each."""
@@ -37,14 +37,14 @@ def stated_equations(equations: Equations) -> dict[str, SX]:
     }
 
 
-def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, Any], stating: Stating) -> None:
+def check_steady(name: str, block: AbstractBlock, statement: str, first: Mapping[str, Any], stating: Stating) -> None:
     """Reject a method whose expressions differ at other numbers, or when it is evaluated again.
 
     Parameters
     ----------
     name
         The block's name in the diagram.
-    says
+    statement
         The method with its verb, ``equations() state``.
     first
         The expressions of the first evaluation.
@@ -54,34 +54,34 @@ def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, 
     Raises
     ------
     BlockError
-        It names the parameters on which the expressions depend as Python numbers.
+        The message lists the parameters that the expressions depend on as Python numbers.
     """
     known = _Flat(first)
-    held, key = _HELD.setdefault(type(block), set()), _key(says, block, known)
+    held, key = _CONFIRMED.setdefault(type(block), set()), _key(statement, block, known)
     if key in held:
         return
     try:
         for factors in (LARGER, SMALLER):
             for other in _others(block, factors):
                 if changed := known.changed(_Flat(stating(other))):
-                    raise _unsteady(name, block, says, changed, stating)
+                    raise _unsteady(name, block, statement, changed, stating)
     finally:
-        remade(block)  # values stored by validators are those of its own numbers again
+        remade(block)  # restores the values stored by validators
     if key is not None:
         held.add(key)
 
 
 _Key = tuple[tuple[CodeType, ...], bytes]
-_HELD: WeakKeyDictionary[type[AbstractBlock], set[_Key]] = WeakKeyDictionary()
-"""Statements that were the same at other numbers, in this process: a study builds each block many times."""
+_CONFIRMED: WeakKeyDictionary[type[AbstractBlock], set[_Key]] = WeakKeyDictionary()
+"""Statements that were equal at other numbers in this process: a study builds each block many times."""
 
 
-def _key(says: str, block: AbstractBlock, first: _Flat) -> _Key | None:
+def _key(statement: str, block: AbstractBlock, first: _Flat) -> _Key | None:
     """The code of a class, its block's numbers and options, and the expressions of the first evaluation.
 
-    None where a statement may depend on more than these: a class with code that runs when a block is made, which sees
-    its numbers and may leave them anywhere; a method with a closure; a value of another type than a number or text.
-    Without such code nothing but its symbols differs between two blocks; what a helper returns is in the expressions.
+    None if a statement may depend on more than these: a class with code that runs at the creation of a block, which can
+    store its numbers anywhere; a method with a closure; a value that is neither a number nor text. Without such code
+    two blocks differ in their symbols only; results of helper functions are part of the expressions.
     """
     kind, given = type(block), given_values(block)
     if _hooks(kind) or not all(map(_plain, given.values())):
@@ -91,15 +91,15 @@ def _key(says: str, block: AbstractBlock, first: _Flat) -> _Key | None:
         (*each,) for base in kind.__mro__ if issubclass(base, AbstractBlock) for each in vars(base).items()
     ):
         function = getattr(item, "__func__", getattr(item, "fget", getattr(item, "func", item)))
-        if isinstance(function, FunctionType) and name != "__hash__":  # that one is pydantic's
+        if isinstance(function, FunctionType) and name != "__hash__":  # defined by pydantic
             if set(function.__code__.co_freevars) - {"__class__"}:
                 return None
             codes.append(function.__code__)
-    return tuple(codes), blake2b(repr((says, given)).encode() + first.text.encode(), digest_size=32).digest()
+    return tuple(codes), blake2b(repr((statement, given)).encode() + first.text.encode(), digest_size=32).digest()
 
 
 def _hooks(kind: type[AbstractBlock]) -> bool:
-    """True for a class with code of its own that runs when a block is made."""
+    """True for a class with its own code that runs at the creation of a block."""
     stated, base = kind.__pydantic_decorators__, AbstractBlock.__pydantic_decorators__
     if stated.field_validators.keys() - base.field_validators.keys() or stated.model_validators or stated.validators:
         return True
@@ -119,11 +119,11 @@ def _plain(value: Any) -> bool:
 
 def _others(block: AbstractBlock, factors: Sequence[float]) -> Iterator[AbstractBlock]:
     """Blocks with other numbers, each created just before its evaluation; the block itself if it accepts none."""
-    taken = False
+    accepted = False
     for other in with_other_numbers(block, factors):
-        taken = True
+        accepted = True
         yield other
-    if not taken:
+    if not accepted:
         yield block
 
 
@@ -145,7 +145,7 @@ def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
     return bool(one == other)
 
 
-def _unsteady(name: str, block: AbstractBlock, says: str, what: str, stating: Stating) -> BlockError:
+def _unsteady(name: str, block: AbstractBlock, statement: str, what: str, stating: Stating) -> BlockError:
     own = _Flat(stating(remade(block)))
 
     def differs(others: Iterator[AbstractBlock]) -> bool:
@@ -159,11 +159,11 @@ def _unsteady(name: str, block: AbstractBlock, says: str, what: str, stating: St
     ]
     if found:
         return BlockError(
-            f"{name}: {says} another {what} where {' or '.join(found)} has another value, which is read as a Python "
+            f"{name}: {statement} another {what} where {' or '.join(found)} has another value, read as a Python "
             f"number; expected p.{found[0]}"
         )
     return BlockError(
-        f"{name}: {says} another {what} when evaluated again; expected the same expression each time, from "
+        f"{name}: {statement} another {what} when evaluated again; expected the same expression each time, from "
         "its arguments alone"
     )
 
@@ -184,7 +184,7 @@ class _Flat:
         return [item for part in self._parts.values() for item in part[0]]
 
     def _written(self, symbols: list[SX]) -> str:
-        """The expressions as CasADi writes a function of these symbols; empty where they have others."""
+        """The expressions as CasADi writes a function of these symbols; empty if they contain other symbols."""
         try:
             return str(ca.Function("same", symbols, self._expressions).serialize())
         except RuntimeError:  # free symbols
@@ -196,16 +196,16 @@ class _Flat:
 
     @property
     def text(self) -> str:
-        """All of it, in which symbols have their names."""
+        """All parts as text, with the names of symbols."""
         symbols = [str(symbol) for symbol in self._symbols]
         return repr([symbols, [(key, part[1]) for key, part in self._parts.items()], self._own])
 
     def changed(self, other: _Flat) -> str:
         """Description of the first part that differs; empty if none does."""
         one, two = self._parts, other._parts
-        alike = one.keys() == two.keys() and all(one[key][1] == two[key][1] for key in one)
-        # equal texts are those of equal expressions; those of equal ones may differ, as zeros may be left out or not
-        if alike and self._own and self._own == other._written(self._symbols):
+        equal = one.keys() == two.keys() and all(one[key][1] == two[key][1] for key in one)
+        # equal texts imply equal expressions; the converse may fail, since zeros may be stored or not
+        if equal and self._own and self._own == other._written(self._symbols):
             return ""
         return next((key for key in {**one, **two} if _differ(one.get(key), two.get(key))), "")
 
@@ -220,7 +220,7 @@ def _differ(one: _Part | None, other: _Part | None) -> bool:
 
 
 def collected(value: Any) -> _Part:
-    """The expressions in a value, and the rest of it as texts."""
+    """The expressions in a value, and its other parts as texts."""
     expressions, rest = list[SX](), list[str]()
 
     def collect(item: Any) -> None:

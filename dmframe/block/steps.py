@@ -1,6 +1,6 @@
-"""Sampled adaptation laws: the storage, decrease and residual of their steps, and the estimates that result.
+"""Sampled adaptation laws: storage, decrease and residual of their update steps, and the next estimates.
 
-Each class computes these terms from the elements of its law, so that a block cannot declare a term non-negative that
+Each class computes these terms from the elements of its law, so that a block cannot declare a term nonnegative that
 is not.
 """
 
@@ -18,38 +18,38 @@ import casadi as ca
 from dmframe.block.condition import SX
 from dmframe.block.fields import Expressions
 from dmframe.block.terms import Square
-from dmframe.prove.rules import Column, Rule, Taken, taken
+from dmframe.prove.rules import Column, Rule, StepResult, step_result
 
 
-class _Taking(Expressions):
-    """What steps come to, by the rule of the proof's checker (`dmframe.prove.rules`), as expressions."""
+class _UpdateSteps(Expressions):
+    """Update steps as expressions, evaluated by the rule of the proof's checker (`dmframe.prove.rules`)."""
 
     _moving: ClassVar[tuple[tuple[str, str], ...]] = (("estimate", "theta"),)
     _constant: ClassVar[tuple[str, ...]] = ("true", "gain", "floor")
 
     @property
     def states(self) -> Mapping[str, SX]:
-        """The states that the steps move."""
+        """States that the steps update."""
         return {getattr(self, name): getattr(self, state) for name, state in self._moving}
 
     @property
     def constant(self) -> Mapping[str, SX]:
-        """What must not move."""
+        """Expressions that must be constant."""
         return {name: getattr(self, name) for name in self._constant}
 
     @property
     def rule(self) -> Literal["normalised", "least_squares"]:
-        """The rule's name."""
+        """Name of the rule."""
         return "normalised" if len(self._moving) == 1 else "least_squares"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the states that the steps move."""
+        """Names of the states that the steps update."""
         return tuple(getattr(self, name) for name, _ in self._moving)
 
     @property
     def named(self) -> dict[str, SX]:
-        """All expressions, by the names that the rule gives them."""
+        """All expressions, by their names in the rule."""
         given: Any = self
         found = {state: getattr(self, state) for _, state in self._moving} | dict(self.constant)
         for place, (h, y) in enumerate(given.rows):
@@ -64,33 +64,35 @@ class _Taking(Expressions):
     @property
     def moves(self) -> Mapping[str, SX]:
         """The states at the next sample."""
-        return {name: ca.vertcat(*numbers) for name, numbers in self._taken.moves.items()}
+        return {name: ca.vertcat(*numbers) for name, numbers in self._step_result.moves.items()}
 
     @property
     def change(self) -> SX:
         """Change of the storage over all steps, without the decrease due to the box and to forgetting."""
-        return 2 * self._taken.moved
+        return 2 * self._step_result.moved
 
     @property
     def decrease(self) -> SX:
-        """What the storage loses, never negative."""
-        return 2 * self._taken.lost
+        """Decrease of the storage, nonnegative."""
+        return 2 * self._step_result.lost
 
     @property
     def residual(self) -> SX:
-        """What the storage gains by what the rows do not explain, never negative."""
-        return 2 * self._taken.gained
+        """Increase of the storage due to the part of the rows that the true parameters do not explain, nonnegative."""
+        return 2 * self._step_result.gained
 
-    def taken_in(self, ring: Any, parts: Mapping[str, Column]) -> Taken:
-        """What the steps come to in a ring, from the numbers of `named`, dense and column-major."""
+    def result_in(self, ring: Any, parts: Mapping[str, Column]) -> StepResult:
+        """Result of the steps in a ring, from the numbers of `named`, dense and column-major."""
         given: Any = self
         names = self.names
-        return taken(ring, Rule(self.rule, names[0], names[-1], given.parts, len(given.rows), bool(given.box)), parts)
+        return step_result(
+            ring, Rule(self.rule, names[0], names[-1], given.parts, len(given.rows), bool(given.box)), parts
+        )
 
     @cached_property
-    def _taken(self) -> Taken:
+    def _step_result(self) -> StepResult:
         elements = {name: ca.vertsplit(ca.vec(ca.densify(ca.SX(x)))) for name, x in self.named.items()}
-        return self.taken_in(_Scalars(), elements)
+        return self.result_in(_Scalars(), elements)
 
 
 @final
@@ -116,8 +118,8 @@ class _Scalars:
 
 @final
 @dataclass(frozen=True, eq=False)
-class NormalisedSteps(_Taking):
-    r"""Steps of the normalised gradient (projection algorithm, NLMS) that an estimate takes from sample to sample.
+class NormalisedSteps(_UpdateSteps):
+    r"""Update of an estimate by the normalised gradient (projection algorithm, NLMS) from sample to sample.
 
     For each row (h, y) in turn, with separate parameters for each output j, the floor :math:`\nu > 0` and the diagonal
     gain :math:`\Gamma > 0`:
@@ -173,8 +175,8 @@ def summed(parts: Sequence[int], column: SX) -> SX:
 
 @final
 @dataclass(frozen=True, eq=False)
-class LeastSquaresSteps(_Taking):
-    r"""Steps of recursive least squares with forgetting that an estimate takes from sample to sample.
+class LeastSquaresSteps(_UpdateSteps):
+    r"""Update of an estimate by recursive least squares with forgetting from sample to sample.
 
     For each row (h, y) in turn, with separate parameters and a separate matrix :math:`G_j` for each output j, which
     starts at zero or at a positive semidefinite matrix:

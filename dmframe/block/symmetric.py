@@ -30,13 +30,13 @@ def unique(spec: Spec | None, symbol: SX, value: np.ndarray) -> tuple[SX, np.nda
     if spec is None or spec.form != "gain" or (symbol.is_column() and value.ndim < 2):
         return symbol, value
     if symbol.shape != (value.shape[0], value.shape[0]) and value.ndim == 2:
-        raise ValueError("expected a diagonal, as the diagram has had; a full matrix takes another diagram")
+        raise ValueError("expected a diagonal, as in the diagram; a full matrix requires another diagram")
     symbols, rows, columns = lower_triangle(symbol)
     full = value if value.ndim == 2 else np.diag(np.broadcast_to(value, symbol.shape[0]))
     held = np.zeros_like(full)
     held[rows, columns] = held[columns, rows] = full[rows, columns]
     if not np.array_equal(held, full):
-        raise ValueError("expected zeros where the matrix has had them; with others it takes another diagram")
+        raise ValueError("expected the zeros of the diagram's matrix; other zeros require another diagram")
     return symbols, full[rows, columns]
 
 

@@ -1,6 +1,6 @@
 """Terms of V and dV/dt: squares, and other terms that are non-negative or bounded by construction.
 
-Each term is built from its vectors and weights, so that a block cannot declare a term non-negative that is not.
+Each term is built from its vectors and weights, so that a block cannot declare a term nonnegative that is not.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ class Square(Expressions):
     weight
         W: a matrix, or a column or scalar for a diagonal matrix.
     of
-        Printed name of a; the framework makes it from the expression, and blocks do not set it.
+        Printed name of a; the framework derives it from the expression, and blocks do not set it.
     positive
-        Of a weight that contains signals: why it stays above a positive constant along the motion. A graph cannot
-        show this, so it is an assumption with this text. Factors of the weight made of parameters are checked.
+        Of a weight that contains signals: the reason why it stays above a positive constant along the motion. The graph
+            cannot show this, so it is an assumption with this text. Factors of the weight made of parameters are
+            checked.
     """
 
     vector: SX
@@ -45,7 +46,7 @@ class Square(Expressions):
     def __post_init__(self) -> None:
         if isinstance(self.vector, str):
             raise TypeError(
-                f"Square({self.vector!r}, ...): expected the vector and its weight; what a term is called is printed "
+                f"Square({self.vector!r}, ...): expected the vector and its weight; the name of a term is printed "
                 "from its expression"
             )
         super().__post_init__()

@@ -16,7 +16,7 @@ _HOMES: Final = {
     "claim_of": "claim",
     "verify": "verifier",
 }
-"""The module of each name, imported when its name is first used: a run needs the claim without its proof."""
+"""Module of each name, imported when the name is first used: a run needs the claim without its proof."""
 
 __all__ = ["Claim", "NotApplicableError", "Verdict", "claim_of", "verify"]
 

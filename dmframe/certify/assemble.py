@@ -1,4 +1,4 @@
-"""A diagram's claim written as data: one CasADi function, of which each expression is an output with a name."""
+"""A diagram's claim as data: one CasADi function whose outputs are the named expressions."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ RULES = {
 """Rule by the class of a term."""
 
 DEEP = 100
-"""How deep two elements are compared before their difference is tested."""
+"""Depth to which two elements are compared before their difference is tested."""
 
 
 def assembled(claim: Claim, uncertain: Sequence[str] = ()) -> data.Claim:
     """The claim as data.
 
-    Raises `NotApplicableError` where a certificate holds a symbol that is no signal and no parameter of the diagram.
+    Raises `NotApplicableError` if a certificate contains a symbol that is neither a signal nor a parameter of the
+    diagram.
     """
     return _Assembly(claim, uncertain).claim()
 
@@ -51,7 +52,7 @@ class _Assembly:
         self._outs = dict[str, SX]()
 
     def claim(self) -> data.Claim:
-        """Collect all, and read the program."""
+        """Collect all expressions, and read the program."""
         of = self._of
         parts = tuple(map(self._part, of.parts))
         composed = tuple(
@@ -94,7 +95,7 @@ class _Assembly:
         )
 
     def _out(self, name: str, expression: Any) -> str:
-        """Enter an output; a name that is taken gets a number."""
+        """Enter an output; a repeated name is numbered."""
         unique, count = name, 1
         while unique in self._outs:
             count += 1
@@ -147,14 +148,14 @@ class _Assembly:
             steps=tuple(self._steps(block, item) for item in stated.steps),
             lines=tuple(self._line(block, item) for item in stated.delay_lines),
             plant=tuple(
-                data.Relation(self._out(f"{block}.momentum", item.momentum), self._out(f"{block}.rest", item.rest))
+                data.PlantIdentity(self._out(f"{block}.momentum", item.momentum), self._out(f"{block}.rest", item.rest))
                 for item in stated.plant
             ),
             solved=tuple(self._out(f"{block}.solved", item) for item in stated.solved),
         )
 
     def _memories(self, part: Part) -> Iterator[tuple[str, str, str]]:
-        """Information matrices and their stated rates; once for terms that share one."""
+        """Information matrices and their stated rates, without repetition of a shared matrix."""
         seen = list[InformationSquare]()
         if self._of.over_samples:
             return
@@ -187,7 +188,7 @@ class _Assembly:
         return data.Line(item.state, self._out(f"{label}: newest", item.newest), before, when)
 
     def _moves(self, parts: Sequence[data.Part]) -> dict[str, SX]:
-        """Rates of what V and information matrices hold; over samples, the next values of all sampled states."""
+        """Rates of the states in V and in information matrices; in discrete time, next values of all sampled states."""
         of = self._of
         if of.over_samples:
             return {label: ca.vec(ca.densify(then)) for label, then in of.sample.next.items()}
@@ -201,7 +202,7 @@ class _Assembly:
         return of.sample.plant_rates(symbols_in(momenta)) if momenta else {}
 
     def _reversed(self) -> Iterator[str]:
-        """States of the controller whose moves matter to V or to a delay line."""
+        """States of the controller that affect V or a delay line."""
         of = self._of
         lines = {f"{part.block}.{item.state}" for part in of.parts for item in part.certificate.delay_lines}
         used = symbols_in([of.V])
@@ -210,12 +211,12 @@ class _Assembly:
                 yield variable.label
 
     def _stored(self) -> Iterator[str]:
-        """Sampled states that stored terms hold."""
+        """Sampled states that stored terms contain."""
         used = symbols_in([term.value for part in self._of.parts for term in part.certificate.storage])
         return (label for label, symbol in self._of.sample.symbols.items() if used & symbols_in([symbol]))
 
     def _gains(self, symbols: Symbols) -> list[Group]:
-        """The controller's parameters that V, its dissipation, or the steps of an estimate hold."""
+        """Parameters of the controller in V, in its dissipation, or in update steps of an estimate."""
         of = self._of
         stated = [part.certificate for part in of.parts]
         made = [term.value for item in stated for term in (*item.dissipation, *item.residual)]

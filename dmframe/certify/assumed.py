@@ -1,7 +1,7 @@
-"""Weights that are positive by assumption: what is decided of them, and how the rest is stated.
+"""Weights that are assumed positive: the decidable part, and the text of the assumption.
 
-An assumption can be false, but not at once: at the graph's own start such a weight has to be above zero, and where no
-start is known, at one of many sampled states.
+An assumption must not be false at the start: such a weight must be positive at the graph's initial state or, if that is
+unknown, at one of many sampled states.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import is_mass_matrix
-from dmframe.certify.starts import begun_at
+from dmframe.certify.starts import margin_from_start
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import DV, Formula, Text, V, sentence, square_of
 from dmframe.diagram.closed_loop import stack
@@ -30,11 +30,11 @@ from dmframe.prove.definite import lower, upper
 
 SIGNS: Final = sentence("{V} is positive, {dV/dt} not")
 SAMPLES: Final = 200
-"""Sampled states at which a weight with an unknown start is evaluated."""
+"""Number of sampled states at which a weight with an unknown initial value is evaluated."""
 
 
 def is_assumed(term: Square, numbers: Numbers) -> bool:
-    """True for a weight with an assumption that parameters, or the robot's bodies, do not make needless."""
+    """True for a weight with an assumption that does not follow from parameters or from the robot's inertias."""
     weight = numbers.claim.loop.joined([ca.SX(term.weight)])[0]
     if not term.positive or symbols_in([weight]) <= numbers.known:
         return False
@@ -42,7 +42,7 @@ def is_assumed(term: Square, numbers: Numbers) -> bool:
 
 
 def decidable(weight: SX, numbers: Numbers) -> SX:
-    """The elements of a weight, or of a matrix's diagonal, that are made of parameters alone: a column."""
+    """Elements of a weight, or of a matrix's diagonal, that consist of parameters only: a column."""
     rows = ca.SX(weight) if weight.is_column() else ca.diag(weight)
     elements = ca.vertsplit(ca.densify(rows))
     known = [one for one in elements if symbols_in(numbers.claim.loop.joined([one])) <= numbers.known]
@@ -50,25 +50,25 @@ def decidable(weight: SX, numbers: Numbers) -> SX:
 
 
 def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
-    """The weights that an author calls positive: whether they can be, and what is assumed."""
+    """Weights that an author declares positive: whether they can be, and the assumption."""
     for part, role, place, term in _squares(claim):
         if is_assumed(term, numbers):
             text = _named(claim, part, role, place, term)
             yield Assumption(Text(text, f" stays above a positive constant: {term.positive}"), SIGNS)
-            yield _looked_at(text, term.weight, numbers, start)
+            yield _evaluated(text, term.weight, numbers, start)
 
 
 @final
 @dataclass(frozen=True)
 class Assumed:
-    """What is assumed to stay above a positive constant: each element of a column."""
+    """A quantity that is assumed to stay above a positive constant: each element of a column."""
 
     text: Text
     column: SX
 
 
 def assumed_positive(claim: Claim, numbers: Numbers) -> list[Assumed]:
-    """The weights that blocks call positive and that parameters do not decide; of a matrix, its pivots."""
+    """Weights declared positive that parameters do not decide; of a matrix, its pivots."""
     found = list[Assumed]()
     for part, role, place, term in _squares(claim):
         if is_assumed(term, numbers):
@@ -78,7 +78,7 @@ def assumed_positive(claim: Claim, numbers: Numbers) -> list[Assumed]:
 
 
 def _squares(claim: Claim) -> Iterator[tuple[Part, Formula, int, Square]]:
-    """Each square of V and of the dissipation, with its place among the terms."""
+    """Each square of V and of the dissipation, with its position among the terms."""
     for part in claim.parts:
         for role, terms in ((V, part.certificate.storage), (DV, part.certificate.dissipation)):
             yield from ((part, role, place, term) for place, term in enumerate(terms) if isinstance(term, Square))
@@ -91,8 +91,8 @@ def _named(claim: Claim, part: Part, role: Formula, place: int, term: Square) ->
     return sentence(text, block=part.block, weight=weight, square=square_of(term.of), role=role)
 
 
-def _looked_at(name: Text, weight: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked:
-    """Above zero at the start; where that is not known, at one of many states at least."""
+def _evaluated(name: Text, weight: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked:
+    """Positive at the start or, if that is unknown, at one of many states at least."""
     begun = _begun(weight, numbers, start)
     margin = begun.at(numbers.starts)
     known = margin is not None
@@ -106,7 +106,7 @@ def _looked_at(name: Text, weight: SX, numbers: Numbers, start: Mapping[str, Any
 
 
 def _over(found: Checked, margin: SX, numbers: Numbers) -> Checked:
-    """The same over the intervals on which its margin depends."""
+    """The same condition over the intervals on which its margin depends."""
     try:
         least = as_float(min(map(lower, numbers.enclosed(margin))))
     except (ValueFault, UndecidedError, OverflowError):
@@ -116,7 +116,7 @@ def _over(found: Checked, margin: SX, numbers: Numbers) -> Checked:
 
 
 def _least_of(margin: SX, numbers: Numbers) -> float:
-    """At the graph's own numbers; of starts in intervals, at their middle."""
+    """Least value at the graph's own numbers; initial values in intervals are taken at their centre."""
     loop = numbers.claim.loop
     columns = [loop.p, *(numbers.claim.starts[label] for label in numbers.starts)]
     middle = ([as_float(lower(x) + upper(x)) / 2 for x in given] for given in numbers.starts.values())
@@ -124,19 +124,19 @@ def _least_of(margin: SX, numbers: Numbers) -> float:
 
 
 def _begun(weight: SX, numbers: Numbers, given: Mapping[str, Any]) -> Begun:
-    """What has to be above zero at the start."""
+    """The quantity that must be positive at the start."""
     (weight,) = numbers.claim.loop.joined([weight])
-    return begun_at(_signs(weight), numbers, given)
+    return margin_from_start(_signs(weight), numbers, given)
 
 
 def _signs(weight: SX) -> SX:
-    """The elements of a column, or the pivots of a matrix."""
+    """Elements of a column, or pivots of a matrix."""
     weight = ca.densify(weight)
     return weight if weight.is_column() else ca.vertcat(*ldl((weight + weight.T) / 2)[1])
 
 
 def _most(weight: SX, numbers: Numbers) -> tuple[float, SX]:
-    """The largest of the least values at sampled states, times and trajectories, and what is least there."""
+    """The largest of the least values at sampled states, times and trajectories, and the least element there."""
     loop, rng = numbers.claim.loop, np.random.default_rng(0)
     (signs,) = loop.joined([_signs(weight)])
     leaves = [leaf for leaf in ca.symvar(signs) if not symbols_in([leaf]) <= numbers.known]
@@ -149,6 +149,6 @@ def _most(weight: SX, numbers: Numbers) -> tuple[float, SX]:
 
 
 def _least(value: ca.DM) -> float:
-    """The least element; what is no number is not above zero."""
+    """Least element; minus infinity if one is NaN or infinite."""
     numbers = value.full()
     return float(np.min(numbers)) if np.all(np.isfinite(numbers)) else -np.inf

@@ -1,4 +1,4 @@
-"""How far from the limits that a reference keeps the robot may be: what V can spend at the start, joint by joint."""
+"""How far the position may exceed the limits of its reference: a bound from V at the start, joint by joint."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from dmframe.prove.definite import lower, upper
 from dmframe.simulate.start import start_state
 
 _OUT: Final = (Context(prec=6, rounding=ROUND_FLOOR), Context(prec=6, rounding=ROUND_CEILING))
-"""In which limits are printed: never tighter than they are."""
+"""Outward rounding of printed limits."""
 
 OUTWARD: Final = 1 + 1e-9
-"""By which floating-point figures are enlarged: more than all rounding on the way to them."""
+"""Factor by which floating-point results are enlarged; it exceeds all rounding errors."""
 
 
 ROOM: Final = ("h(t) >= h(0) exp(-a t) - {}", r"h(t) \ge h(0) \exp(-a t) - {}", "h(t) ≥ h(0) exp(−a t) − {}")
@@ -44,22 +44,22 @@ ROOM: Final = ("h(t) >= h(0) exp(-a t) - {}", r"h(t) \ge h(0) \exp(-a t) - {}", 
 @final
 @dataclass(frozen=True)
 class Tube:
-    """How far a position may pass the limits that a reference keeps.
+    """Bound on how far a position exceeds the limits of its reference.
 
     Parameters
     ----------
     of, unit, position
-        The position: its name, its unit, and itself.
+        Name, unit and expression of the position.
     tube
-        (n,) by how much the room before them may be less than it would be if they were followed exactly.
+        (n,) bound on the loss of distance to the limits, compared with exact tracking of the reference.
     reach
-        (n,) the most by which it passes them at any time.
+        (n,) largest excess over the limits at any time.
     margin
-        (n,) by how much they lie inside the true ones.
+        (n,) distance of the limits inside the true ones.
     ends
-        (2, n) the true limits.
+        (2, n) true limits.
     spent
-        V(0), at the graph's numbers, or the most that it is over the intervals.
+        V(0) at the graph's numbers, or its maximum over the intervals.
     """
 
     of: Text
@@ -73,27 +73,27 @@ class Tube:
 
     @property
     def inside(self) -> bool:
-        """The true limits are kept."""
+        """True if the position stays within the true limits."""
         return bool(np.all(self.reach <= self.margin))
 
 
 def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
-    """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
+    """Limits guaranteed by each barrier of a proved claim, and the largest excess of a joint."""
     for tube in found:
         least = around(Text(_values(tube.tube, tube.unit)), *ROOM)
         room = Text("its room before what the reference keeps is ", least)
         low, high = (", ".join(_limit(out, x) for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
         limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:
-            says, then = f"stays between {limits} at all times", "and the margin is no less"
+            statement, then = f"stays between {limits} at all times", "and the margin is no less"
         else:
             beyond = _values(np.maximum(tube.reach - tube.margin, 0), tube.unit)
-            says = f"stays between {limits}, but for at most {beyond} beyond"
+            statement = f"stays between {limits}, but for at most {beyond} beyond"
             then = f"which takes a margin of {_values(tube.reach, tube.unit)}"
         dissipates = sentence("{dV/dt} dissipates a square of the error with which the reference is followed")
         most = sentence(f"the total dissipation is at most {{V(0)}} <= {tube.spent:.4g}")
         step = Text(room, f", joint by joint, {then}; ", dissipates, ", and ", most)
-        yield Statement(tube.of, says, step, concludes=True)
+        yield Statement(tube.of, statement, step, concludes=True)
 
 
 def _limit(out: Context, value: float) -> str:
@@ -101,14 +101,14 @@ def _limit(out: Context, value: float) -> str:
 
 
 def _values(values: np.ndarray, unit: str) -> str:
-    """Rounded up."""
+    """Values, rounded up."""
     return f"{', '.join(f'{math.ceil(1e4 * value) / 1e4:.4f}' for value in values)} {unit}".strip()
 
 
 def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, Any]) -> Iterator[Tube]:
-    """The tube of each barrier; none where V may rise, or where the graph's numbers do not give its start.
+    """The tube of each barrier; none if V may rise, or if the graph's numbers do not determine its initial value.
 
-    V rises by a residual and at a source's steps; statements there do not hold for all times.
+    V rises by a residual and at the steps of a source; statements there are not valid for all times.
     """
     stated = [(part, barrier) for part in claim.parts for barrier in part.certificate.barriers]
     if not stated or claim.cascaded or any(part.certificate.residual for part in claim.parts):
@@ -121,7 +121,7 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
         return
     spent = float(max(0.0, *_range(claim, numbers, begin, claim.V)[1]))
     for part, barrier in stated:
-        share = _share(claim, numbers, symbols, barrier, f"{part.block}: the position of its barrier")
+        share = _coefficient(claim, numbers, symbols, barrier, f"{part.block}: the position of its barrier")
         if share is None or not math.isfinite(spent):
             continue
         constants = [_column(numbers, item, len(share)) for item in _constants(barrier)]
@@ -143,7 +143,7 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
 
 
 def _named(claim: Claim, barrier: Barrier) -> tuple[Text, str, SX]:
-    """The state that the position is, with its unit."""
+    """Name, unit and expression of the position; the name is that of the state, if it is one."""
     same = (v for v in claim.loop.variables if v.symbol.shape == barrier.position.shape)
     names = ((Text(Label(v.label)), v.unit) for v in same if ca.is_equal(v.symbol, barrier.position, 1))
     return (*next(names, (Text("the position"), "")), barrier.position)
@@ -158,13 +158,13 @@ def _soft_min(first: Any, second: Any, width: Any) -> Any:
 
 
 def _column(numbers: Numbers, expression: SX, size: int) -> np.ndarray | None:
-    """A column of constants; None of what moves, of what is known up to an interval, and of other shapes."""
+    """A column of constants; None if it varies, is known only up to an interval, or has another shape."""
     ends = _ends(numbers, expression, size)
     return ends[0] if ends is not None and np.array_equal(*ends) else None
 
 
 def _ends(numbers: Numbers, expression: SX, size: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """The least and the greatest values of a column of parameters; None of anything else."""
+    """Lower and upper bounds of a column of parameters; None for any other expression."""
     try:
         values = numbers.of(ca.SX(expression))
     except (ValueFault, ZeroDivisionError):
@@ -176,8 +176,8 @@ def _ends(numbers: Numbers, expression: SX, size: int) -> tuple[np.ndarray, np.n
     return low, high
 
 
-def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier, of: str) -> np.ndarray | None:
-    """C of s_i^2 <= c_i d, for the block that dissipates d, a square of the tracking error of the reference."""
+def _coefficient(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier, of: str) -> np.ndarray | None:
+    """C of s_i^2 <= c_i d, for the block whose dissipation d contains a square of the tracking error."""
     error = claim.flow.D(barrier.position, of) - barrier.reference
     for part in claim.parts:
         if part.certificate.dominates and _same(part, error, symbols):
@@ -201,14 +201,14 @@ def _same(part: Part, error: SX, symbols: Symbols) -> bool:
 @final
 @dataclass(frozen=True)
 class Begin:
-    """Where all states start.
+    """Initial values of all states.
 
     Parameters
     ----------
     pairs
-        Each state's symbol with its start, those first whose starts hold others.
+        Symbol and initial value of each state; values that depend on other states come first.
     symbols, values
-        What stands for numbers there: CasADi would compute with numbers at once, and round.
+        Symbols that replace numbers in these values, since CasADi would evaluate numbers with rounding.
     """
 
     pairs: Sequence[tuple[SX, SX]]
@@ -217,7 +217,7 @@ class Begin:
 
 
 def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | None:
-    """Where all states start: as their blocks say, and as a run finds the plant's pose."""
+    """Initial values of all states, as stated by their blocks, and as a run computes the plant's pose."""
     try:
         begin = start_state(claim.diagram, given)
     except DmframeError:
@@ -246,9 +246,9 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
 
 
 def _range(claim: Claim, numbers: Numbers, begin: Begin, expression: SX) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the most of a column at the start, over the intervals; infinite where that is not found."""
+    """Lower and upper bounds of a column at the start, over the intervals; infinite if they are not found."""
     loop = claim.loop
-    for _ in range(3):  # a controller's state may start where another one does
+    for _ in range(3):  # the initial value of a controller's state may be that of another state
         for symbol, value in begin.pairs:
             (expression,) = ca.substitute([expression], [symbol], [value])
         expression = loop.joined([expression])[0]

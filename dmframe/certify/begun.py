@@ -1,4 +1,4 @@
-"""What has to hold where states start, as an expression in parameters and in the starts themselves."""
+"""Margins at the initial state, as expressions in parameters and in the initial values themselves."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
 
 START: Final = "start."
-"""Before a state's label, where parameters and starts stand together."""
+"""Prefix of a state's label in lists of parameters and initial values."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """A margin at the start.
+    """A margin at the initial state.
 
     Parameters
     ----------
     margin
-        In parameters, and in the symbols of the starts that it reads.
+        Expression in parameters and in the symbols of the initial values that it contains.
     symbols
-        These, by the state's label, of `Claim.starts`.
+        These symbols of `Claim.starts`, by the state's label.
     starts
-        Where each of them starts in the graph, in parameters; None where neither graph nor block says it.
+        The graph's initial value of each of them, in parameters; None if neither graph nor block states it.
     known
         Identities of the parameters' symbols.
     """
@@ -38,7 +38,7 @@ class Begun:
     known: frozenset[int]
 
     def at(self, moved: Container[str] = ()) -> SX | None:
-        """The margin in parameters and in the starts of the `moved` states; None where another start is not known."""
+        """The margin as a function of parameters and of the `moved` initial values; None if another one is unknown."""
         kept = [label for label in self.symbols if label not in moved]
         values = [self.starts[label] for label in kept]
         found = [value for value in values if value is not None]

@@ -1,4 +1,4 @@
-"""The certificates of a diagram's blocks, each written with the true values that the others state."""
+"""The certificates of a diagram's blocks, each evaluated with the true values that the others state."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from dmframe.diagram.view import owners_of, view
 @final
 @dataclass(frozen=True)
 class Certificates:
-    """What the blocks of a diagram state.
+    """Statements of the blocks of a diagram.
 
     Parameters
     ----------
     stated
-        The certificates, by block.
+        Certificates, by block.
     truths
         True values of estimates, by block and name.
     silent
-        In discrete time: the blocks without a certificate, and controllers with one of continuous time.
+        In discrete time: blocks without a certificate, and controllers whose certificate is in continuous time.
     """
 
     stated: Mapping[str, Certificate]
@@ -40,17 +40,17 @@ class Certificates:
 
 
 def certificates_of(diagram: Diagram) -> Certificates:
-    """Write every block's certificate.
+    """Evaluate every block's certificate.
 
     In continuous time each block must have one. In discrete time a block without one is `silent`, and so is a
-    controller whose certificate stores no sampled state: the proof then holds for whatever they do.
+    controller whose certificate stores no sampled state: the proof is then valid for any behaviour of these blocks.
 
     Raises `NotApplicableError` for a missing or ill-formed certificate, and for a true value that is not available.
     """
     sides, sampled = (
         (Side.PLANT, Side.CONTROLLER),
         bool(diagram.loop.discrete_time),
-    )  # they read the plant's truths
+    )  # they read the plant's true values
     everyone = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
     waiting, rounds, silent = everyone, 0, list[str]()
     found, truths, read = dict[str, Certificate](), dict[str, Mapping[str, SX]](), dict[str, Mapping[str, str]]()
@@ -69,7 +69,7 @@ def certificates_of(diagram: Diagram) -> Certificates:
                 continue
             found[name] = certificate
             truths[name] = {key: ca.SX(value) for key, value in certificate.truth.items()}
-        # a certificate written early may have read a value that another block states only later
+        # an early certificate may have used a value that another block states only later
         early = [name for name in found if _owners(diagram, name, truths) != read[name]]
         rounds += 1
         if list(faults) == waiting or rounds > 2 * len(everyone):
@@ -79,7 +79,7 @@ def certificates_of(diagram: Diagram) -> Certificates:
                 raise NotApplicableError(
                     "; ".join([*causes, *needed]) or f"the truth of {', '.join(early)} does not settle"
                 )
-            silent += faults  # laws in continuous time
+            silent += faults  # continuous-time laws
             break
         waiting = [*faults, *early]
     for text in conflicts(diagram, truths):
@@ -92,7 +92,7 @@ def certificates_of(diagram: Diagram) -> Certificates:
 
 
 def is_over_samples(diagram: Diagram, name: str, certificate: Certificate) -> bool:
-    """True for a certificate that states something of the step from sample to sample."""
+    """True for a certificate that describes the step from sample to sample."""
     if any((certificate.steps, certificate.delay_lines, certificate.plant, certificate.solved, certificate.acted)):
         return True
     states = diagram.models[name].states
@@ -128,7 +128,7 @@ def _certificate(
 ) -> tuple[Certificate | None, Mapping[str, str]]:
     known = len(diagram.resolver.faults)
     seen = view(diagram, name, truths)
-    if faults := diagram.resolver.faults[known:]:  # a truth made of something that is not available
+    if faults := diagram.resolver.faults[known:]:  # a true value that depends on an unavailable signal
         del diagram.resolver.faults[known:]
         if not lenient:
             raise NotApplicableError(f"{name}: {faults[0].text}")

@@ -33,23 +33,23 @@ class Checked:
     Parameters
     ----------
     expression
-        What was decided; of what an author states, printed from the code.
+        Decided relation; for a condition stated by an author, printed from the code.
     value
-        The least value that must be positive; the margin. None where it could not be computed.
+        Least value that must be positive, the margin; None if it could not be computed.
     how
-        How it was decided: ``exact``; ``cases``, all of a few; ``sampled``; or ``undecided``, which never holds.
+        Method: ``exact``; ``cases``, all of a few; ``sampled``; or ``undecided``, which never counts as true.
     strict
-        The value must be above zero; otherwise it may be zero.
+        True if the value must be positive; otherwise it may be zero.
     margin
-        An expression in the claim's symbols whose least element is `value`, by which other numbers of the same loop are
-        judged; empty where no number of a graph matters, and None where the condition is not the sign of one.
+        Expression in the claim's symbols whose least element is `value`, for an evaluation at other numbers of the same
+            loop; empty if the graph's numbers do not matter, None if the condition is not the sign of an expression.
     reads
-        Where there is no margin: all parameters, and all symbols of starts (`Claim.starts`), on which the outcome
-        depends. A condition that holds has a margin or this list.
+        Without a margin: all parameters and all symbols of initial values (`Claim.starts`) on which the result depends.
+            A condition that is met has a margin or this list.
     begun
-        What has to be above zero at the start, where the condition reads a start.
+        Quantity that must be positive at the start, if the condition depends on initial values.
     sufficient
-        The margin above zero is enough; below zero it decides nothing.
+        A positive margin is sufficient; a negative margin decides nothing.
     """
 
     name: Text
@@ -67,12 +67,12 @@ class Checked:
 
 @final
 class Numbers:
-    """Exact values of expressions in parameters alone, at the graph's numbers or over its intervals.
+    """Exact values of expressions in parameters only, at the graph's numbers or over its intervals.
 
     Parameters
     ----------
     uncertain
-        Intervals by ``block.parameter``, and of starts by ``start.block.state``.
+        Intervals by ``block.parameter``, and of initial values by ``start.block.state``.
     """
 
     def __init__(self, claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> None:
@@ -92,10 +92,10 @@ class Numbers:
         return symbols_in(p.symbol for p in self._p)
 
     def of(self, expression: SX) -> list[Number]:
-        """The elements of an expression, dense; raises `ValueFault` where it needs more than parameters."""
+        """Elements of an expression, dense; raises `ValueFault` if it depends on more than parameters."""
         joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
         symbols = ca.symvar(joined)
-        try:  # a function of all parameters takes longer to build
+        try:  # faster than a function of all parameters
             given = [self._elements[symbol.element_hash()] for symbol in symbols]
         except KeyError:
             function = ca.Function("value", self._columns, [joined], {"allow_free": True})
@@ -105,7 +105,7 @@ class Numbers:
 
     @cached_property
     def _elements(self) -> Mapping[int, Number]:
-        """The parameters' numbers by the identities of their symbols."""
+        """Values of the parameters by the identities of their symbols."""
         return {
             symbol.element_hash(): value
             for p, column in zip(self._p, self._columns, strict=True)
@@ -114,14 +114,14 @@ class Numbers:
 
     @cached_property
     def open(self) -> set[int]:
-        """Identities of the symbols that lie in intervals: parameters, and starts (`Claim.starts`)."""
+        """Identities of the symbols with intervals: parameters, and initial values (`Claim.starts`)."""
         parameters = [parameter.symbol for parameter in self._p if parameter.label in self.uncertain]
         return symbols_in([*parameters, *(self.claim.starts[label] for label in self.starts)])
 
     def enclosed(self, expression: SX) -> list[Number]:
-        """The elements of an expression in parameters and starts that lie in intervals; of any operations.
+        """Enclosures of the elements of an expression in parameters and initial values with intervals, any operations.
 
-        Raises `UndecidedError` where they are not found, `ValueFault` for what lies in none.
+        Raises `UndecidedError` if none is found, `ValueFault` if the expression contains other symbols.
         """
         joined = ca.vec(ca.densify(expression))
         columns = [*self._columns, *(self.claim.starts[label] for label in self.starts)]
@@ -135,14 +135,14 @@ class Numbers:
             return list(ranges(read(function), given))
 
     def reads(self, expression: SX) -> SX:
-        """The parameters that an expression holds, its trajectories on their paths."""
+        """Parameters in an expression, with its trajectories replaced by functions of time."""
         loop = self.claim.loop
         (joined,) = loop.joined([ca.vec(ca.densify(expression))])
         found = [symbol for symbol in ca.symvar(loop.on_path(joined)) if symbol.element_hash() in self.known]
         return ca.vertcat(ca.SX(0, 1), *found)
 
     def with_states(self, expression: SX, state: SX, values: Sequence[Number]) -> list[Number] | None:
-        """The elements of an expression in parameters and one state, the state anywhere in its intervals."""
+        """Elements of an expression in parameters and one state, for all values of the state in its intervals."""
         joined = ca.vec(ca.densify(expression))
         function = ca.Function("value", [*self._columns, state], [joined], {"allow_free": True})
         return (
@@ -150,14 +150,14 @@ class Numbers:
         )
 
     def least(self, expression: SX) -> Fraction:
-        """The least element; of an interval, its lower end. Raises `ValueFault` where there is none."""
+        """Least element; of an interval, its lower end. Raises `ValueFault` without elements."""
         values = self.of(expression)
         if not values:
-            raise ValueFault("expected an expression with elements, found an empty one, of which nothing is decided")
+            raise ValueFault("expected an expression with elements, found an empty one")
         return min(map(lower, values))
 
     def leasts(self, expressions: Sequence[SX]) -> list[Fraction | None]:
-        """The least element of each expression, in one pass over what they share; None where `least` raises."""
+        """Least element of each expression, in one pass over common subexpressions; None where `least` raises."""
         if not expressions:
             return []
         joined = [ca.vec(ca.densify(item)) for item in self.claim.loop.joined(list(map(ca.SX, expressions)))]
@@ -169,14 +169,14 @@ class Numbers:
         return [min(map(lower, least)) if least and len(least) == len(each) else None for least, each in pairs]
 
     def least_pivot(self, matrix: SX) -> Fraction:
-        """The least diagonal element of LDL', up to one that is not positive, of a symmetric matrix."""
+        """Least diagonal element of LDL' of a symmetric matrix, up to the first that is not positive."""
         values, n = self.of(matrix), matrix.shape[0]
         if not values:
             raise ValueFault("expected a matrix with elements, found an empty one")
         return min(pivots([values[column * n : (column + 1) * n] for column in range(n)]))
 
     def above(self, expression: SX, *, matrix: bool = False) -> bool:
-        """True where the least element, or the least pivot of a matrix, is known to be above zero."""
+        """True if the least element, or the least pivot of a matrix, is known to be positive."""
         try:
             return (self.least_pivot if matrix else self.least)(expression) > 0
         except (ValueFault, ZeroDivisionError):
@@ -193,9 +193,9 @@ class Numbers:
         matrix: bool = False,
         least: Callable[[], Fraction] | None = None,
     ) -> Checked:
-        """A condition on the least element of a margin, or on the pivots of a matrix; undecided where there is none.
+        """A condition on the least element of a margin, or on the pivots of a matrix; undecided if there is none.
 
-        `least`: how that is computed, where it is not so.
+        `least` computes the value, if it is not the least element.
         """
         margin = ca.SX(margin)
         least = least or partial(self.least_pivot if matrix else self.least, margin)
@@ -203,7 +203,7 @@ class Numbers:
         try:
             value = least()
         except ZeroDivisionError:
-            text = Text(text, "; undecided: a divisor is zero, or its interval holds zero")
+            text = Text(text, "; undecided: a divisor is zero, or its interval contains zero")
         except ValueFault as error:
             text = Text(text, f"; undecided: {error.text}")
         else:
@@ -216,6 +216,6 @@ Finding = Checked | Assumption
 
 
 def sorted_out(findings: Iterable[Finding]) -> tuple[list[Checked], list[Assumption]]:
-    """What numbers have decided, and what is left to assume, each in order."""
+    """Decided conditions and remaining assumptions, each in order."""
     found = list(findings)
     return [x for x in found if isinstance(x, Checked)], [x for x in found if isinstance(x, Assumption)]

@@ -1,13 +1,14 @@
 r"""The claim of a diagram: V, D V, and the residual that must vanish identically.
 
-D is d/dt along the closed loop, or, for a graph whose controller runs on a clock alone, the difference over a sample
-(`dmframe.certify.operators`). The blocks on the servo level have the weight kappa, a cascade on top of them 1:
+D is d/dt along the closed loop or, for a graph whose controller runs on a clock only, the difference over a sample
+(`dmframe.certify.operators`). The blocks on the servo level have the weight kappa, a cascade on top of them the weight
+1:
 
     V = kappa (S_1 + S_2 + ...) + S_cascade,
     D V = -kappa (d_1 + d_2 + ...) - d_cascade + c |a|^2 + (terms of the projection lemma) + (bounded residuals),
 
-with a the vector of the cascade's cross term and kappa a free symbol; without a cascade kappa is 1. Desired
-trajectories and all their derivatives are free symbols, and so are, over samples, all measurements and commands.
+where a is the vector of the cascade's cross term and kappa a free symbol; without a cascade kappa is 1. Desired
+trajectories and all their derivatives are free symbols, and so are, in discrete time, all measurements and commands.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from dmframe.certify.certificates import Certificates, certificates_of, is_over_
 from dmframe.certify.form import NotApplicableError, unfit
 from dmframe.certify.operators import Flow, Sample
 from dmframe.certify.partial_functions import domains_of
-from dmframe.certify.steady import hold_claims
+from dmframe.certify.steady import check_claims
 from dmframe.common.errors import BlockError, nearest
 from dmframe.common.text import Text
 from dmframe.diagram import ClosedLoop, Diagram
@@ -53,17 +54,17 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True)
 class Part:
-    """The contribution of one block, in the independent variables of the closed loop.
+    """Contribution of one block, in the independent variables of the closed loop.
 
     Parameters
     ----------
     certificate
-        Its terms, measured and commanded signals substituted; those of `certificate.plant` and `certificate.acted` as
-        functions of the plant's own signals, the commands free.
+        Its terms, with measured and commanded signals substituted; those of `certificate.plant` and `certificate.acted`
+            as functions of the plant's own signals, for free commands.
     cascade
-        The block is on the task level.
+        True if the block is on the task level.
     lemma
-        Terms of the projection lemma in D S, none above zero.
+        Terms of the projection lemma in D S; none is positive.
     """
 
     block: str
@@ -73,7 +74,7 @@ class Part:
 
     @property
     def stored(self) -> tuple[Stored, ...]:
-        """The terms of S, those of the steps last."""
+        """Terms of S; those of update steps come last."""
         return (*self.certificate.storage, *(item.storage for item in self.certificate.steps))
 
     @property
@@ -94,7 +95,7 @@ class Part:
 
     @property
     def composed(self) -> SX:
-        """The vector that these squares dominate, composed of theirs."""
+        """The vector that these squares dominate, composed of their vectors."""
         shares = zip(self.certificate.dominates, self.dominating, strict=True)
         return sum((share * term.pieces[0] for share, term in shares), ca.SX(0))
 
@@ -105,7 +106,7 @@ class Part:
 
     @property
     def residual(self) -> SX:
-        """The residual: bounded terms that are not dissipated, and what the rows of steps do not explain."""
+        """Residual: bounded terms that are not dissipated, and the part of rows that true parameters do not explain."""
         own = [term.value for term in self.certificate.residual]
         return total([*own, *(item.residual / 2 for item in self.certificate.steps)])
 
@@ -118,15 +119,15 @@ class Claim:
     Parameters
     ----------
     parts
-        The blocks with a certificate, in the order of the graph; over samples, those that claim something.
+        Blocks with a certificate, in the order of the graph; in discrete time, those with a statement.
     kappa
-        The weight of the servo level: a symbol, or 1 without a cascade.
+        Weight of the servo level: a symbol, or 1 without a cascade.
     operator
         D.
     truths
         True values of estimates that certificates state, by block and name.
     silent
-        Over samples: blocks for whose behaviour nothing is claimed and nothing is required.
+        In discrete time: blocks without a statement, whose behaviour may be arbitrary.
     """
 
     diagram: Diagram
@@ -140,17 +141,17 @@ class Claim:
 
     @cached_property
     def symbols(self) -> dict[tuple[frozenset[str], int], Any]:
-        """What `dmframe.certify.symbols.symbols_of` has found, by uncertain parameters and number of trajectories."""
+        """Cache of `dmframe.certify.symbols.symbols_of`, by uncertain parameters and number of trajectories."""
         return {}
 
     @cached_property
     def matched(self) -> dict[Any, tuple[SX, str | None]]:
-        """What `dmframe.certify.definite` has found of weights, by their nodes."""
+        """Cache of `dmframe.certify.definite`: results for weights, by their nodes."""
         return {}
 
     @property
     def over_samples(self) -> bool:
-        """True where D is the difference over a sample."""
+        """True if D is the difference over a sample."""
         return isinstance(self.operator, Sample)
 
     @property
@@ -161,7 +162,7 @@ class Claim:
 
     @property
     def sample(self) -> Sample:
-        """D of a claim over samples."""
+        """D of a claim in discrete time."""
         assert isinstance(self.operator, Sample)
         return self.operator
 
@@ -173,7 +174,7 @@ class Claim:
 
     @property
     def left(self) -> str:
-        """What V may gain over samples, in words; empty where it gains nothing."""
+        """Possible increase of V in discrete time, in words; empty if V cannot increase."""
         unexplained = any(part.certificate.steps for part in self.parts)
         unbounded = any(part.certificate.residual for part in self.parts)
         kinds = ["what its data leave unexplained"] * unexplained + ["a residual that nothing bounds"] * unbounded
@@ -181,12 +182,12 @@ class Claim:
 
     @cached_property
     def starts(self) -> Mapping[str, SX]:
-        """A symbol for where each state starts, a column, by the state's label."""
+        """A symbol for the initial value of each state, a column, by the state's label."""
         return {v.label: ca.SX.sym(f"start.{v.label}", v.symbol.numel()) for v in self.loop.variables}
 
     @property
     def cascaded(self) -> bool:
-        """True where there is a cascade, whose cross term the servo level dominates."""
+        """True if there is a cascade, whose cross term the servo level dominates."""
         return not bool(self.kappa.is_constant())
 
     def weight(self, part: Part) -> SX:
@@ -200,12 +201,12 @@ class Claim:
 
     @property
     def consumption(self) -> SX:
-        """What all cascades consume together."""
+        """Sum of the cross terms of all cascades."""
         return total([part.consumption for part in self.parts])
 
     @cached_property
     def risks(self) -> Mapping[str, tuple[tuple[int, SX], ...]]:
-        """What each block's equations divide by, or need to be defined, with the instruction that does."""
+        """Divisors and arguments of partial functions in each block's equations, with the instruction."""
         return {
             name: tuple(domains_of([*of.outputs.values(), *of.rates.values(), *of.next.values()]))
             for name, of in ((name, model.equations) for name, model in self.diagram.models.items())
@@ -213,11 +214,11 @@ class Claim:
 
     @cached_property
     def cross_terms(self) -> tuple[tuple[Part, Part | None], ...]:
-        """Each block with a cross term, and the block that dominates it; None where no block can."""
+        """Each block with a cross term, and the block that dominates it; None if no block can."""
         return tuple((part, self._dominating(part)) for part in self.parts if part.certificate.consumes is not None)
 
     def _dominating(self, consumer: Part) -> Part | None:
-        """Of several that might pay, the one that composes what is consumed; the exact test has the last word."""
+        """The dominating block; of several candidates the one that composes the cross term's vector."""
         assert consumer.certificate.consumes is not None
         wanted = consumer.certificate.consumes.vector
         able = [part for part in self.parts if part.certificate.dominates and part.composed.shape == wanted.shape]
@@ -231,25 +232,25 @@ class Claim:
 
 
 def claim_of(diagram: Diagram, *, held: bool = True, named: bool = True) -> Claim:
-    """Assemble the blocks' certificates. The printed laws are compared with the code at a few points only.
+    """Assemble the blocks' certificates. Printed laws are compared with the code at a few points only.
 
-    `dmframe.certify.laws.check_laws` compares them fully, and the docstrings too. If not `held`, it is left to
-    `unsteady` whether certificates hold numbers. If not `named`, for a claim that was assembled before from the same
+    `dmframe.certify.laws.check_laws` compares them fully, including docstrings. If not `held`, `unsteady` has to
+    check whether certificates contain numbers. If not `named`, for a claim that was assembled before from the same
     blocks, no printed law is read, and terms have no names.
 
-    Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a true value that the
+    Raises `NotApplicableError` if a block has no certificate or an invalid one, or requires a true value that the
     diagram does not have.
     """
     found = certificates_of(diagram)
     if held:
-        hold_claims(diagram, found.truths)
+        check_claims(diagram, found.truths)
     return _over_samples(diagram, found) if diagram.loop.discrete_time else _in_continuous_time(diagram, found, named)
 
 
 def unsteady(diagram: Diagram) -> str:
-    """Why a certificate, a condition or a start holds a number that it did not take from `p`; empty where none does."""
+    """Reason why a certificate, condition or initial value contains a number not read from `p`; empty if none does."""
     try:
-        hold_claims(diagram, certificates_of(diagram).truths)
+        check_claims(diagram, certificates_of(diagram).truths)
     except NotApplicableError as error:
         return error.text
     return ""
@@ -259,7 +260,7 @@ def _in_continuous_time(diagram: Diagram, found: Certificates, named: bool) -> C
     stated, truths = dict(found.stated), found.truths
     laws: Mapping[str, PrintedLaw] = {}
     if named:
-        from dmframe.certify.laws import printed_laws  # a run that recalls its names reads no law
+        from dmframe.certify.laws import printed_laws  # not imported by a run that has the names cached
 
         laws = printed_laws(diagram, stated, truths)
     unfollowed = _unfollowed(diagram, stated)
@@ -272,14 +273,14 @@ def _in_continuous_time(diagram: Diagram, found: Certificates, named: bool) -> C
         stated = labelled(stated, laws)
     parts = tuple(flow_part(along, name, item) for name, item in stated.items())
     if not any(part.certificate.storage for part in parts):
-        raise NotApplicableError("no block of this graph stores anything; there is no V")
+        raise NotApplicableError("no block of this graph has a storage function, so there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
     return Claim(diagram, diagram.loop, parts, kappa, truths, laws, along)
 
 
 def _unfollowed(diagram: Diagram, stated: Mapping[str, Certificate]) -> list[str]:
-    """The blocks that give a reference which another one changes before it is followed."""
+    """Blocks whose output reference another block modifies before it is tracked."""
     ends = [(name, port) for name, certificate in stated.items() for port in certificate.filters]
     for name, port in ends:
         known = [item.name for item in diagram.blocks[name].inputs]
@@ -297,11 +298,11 @@ def total(items: Sequence[SX]) -> SX:
 
 
 def flow_part(along: Flow, name: str, certificate: Certificate) -> Part:
-    """A block's part; what its storage is made of is entered in the record."""
+    """Part of a block; the expressions of its storage are entered in the record."""
     joined = certificate.mapped(along.loop.joined)
     storage = total([term.value for term in joined.storage]) / 2
     used = symbols_in([storage])
-    # only the block's own states; if another block's storage moves with them, the correction must cancel there
+    # the block's own states only; in another block's storage the correction must cancel
     own = [item for item in along.loop.projections if item.block == name and used & symbols_in([item.state])]
     lemma = total([_lemma(name, joined, item) for item in own])
     task = certificate.task or certificate.consumes is not None
@@ -315,7 +316,7 @@ def _lemma(name: str, certificate: Certificate, projection: Projection) -> SX:
     own, estimate = symbols_in([projection.state]), certificate.estimates.get(projection.of)
     held = [term for term in certificate.storage if symbols_in(term.pieces) & own]
     if estimate is not None and len(held) == 1 and not symbols_in([estimate.weight]) & own:
-        (square,) = held  # that of the estimate, which is always among them
+        (square,) = held  # the square of the estimate, which is always among them
         return ca.dot(times(square.weight, square.vector), projection.correction)
     hint = f"; say what it estimates by estimates={{'{projection.of}': TrueValue(...)}}" if estimate is None else ""
     raise NotApplicableError(
@@ -325,9 +326,9 @@ def _lemma(name: str, certificate: Certificate, projection: Projection) -> SX:
 
 
 def _inside(term: Stored) -> SX:
-    """What has to be smooth for a term to be.
+    """The expression that must be smooth for a term to be smooth.
 
-    A potential is smooth in what it is made of, and so is a divergence where V, which holds it, is finite.
+    A potential is a smooth function of its vector, and so is a divergence where it is finite.
     """
     return stack(map(ca.SX, term.pieces)) if isinstance(term, Potential | LogDet) else ca.SX(term.value)
 
@@ -352,7 +353,7 @@ def _over_samples(diagram: Diagram, found: Certificates) -> Claim:
 
 
 def _sample_part(step: Sample, name: str, certificate: Certificate) -> Part:
-    """A block's part; raises `NotApplicableError` for an MX and the like."""
+    """Part of a block; raises `NotApplicableError` for an invalid expression, such as an MX."""
     loop = step.loop
     measured = [(leaf.symbol, leaf.expression) for leaf in loop.measured]
 

@@ -1,20 +1,20 @@
-r"""Which signals stay bounded: first what V holds, then what follows from the closed loop's own equations.
+r"""Bounded signals: those in V, and those whose boundedness follows from the equations of the closed loop.
 
-A *direction* is a combination of states, and a set of bounded signals leaves some of them open. Whatever moves with an
-open direction only through sines, cosines and other bounded functions is bounded too. So, with the open directions u:
+A *direction* is a combination of states. Directions that no bounded signal determines are *open*. A signal that depends
+on open directions only through sines, cosines and other bounded functions is bounded. With the open directions u:
 
-1. a vector v of V, weighed by a positive constant, is bounded. Where :math:`\partial v/\partial u` (bounded functions
-   held) is constant, that combination of states is bounded, and u is open no more;
-2. a combination of states whose rate is zero keeps its value;
-3. the states of a stable linear subsystem (`StableLinear`) are bounded if its remainder moves with no open direction;
-4. and so on, until nothing more follows. Then what an unknown input (`StableLinear.inputs`) drives is
-   bounded too, by what its block assumes of that input, if its remainder without it does not move; so is that input. So
-   is what a linear equation drives whose stability is not decided and assumed. A signal that does not move with what is
-   still open is bounded; `needs` gives the assumptions that a signal uses.
+1. A vector v of V with a positive constant weight is bounded. If :math:`\partial v/\partial u` (with bounded functions
+   frozen) is constant, that combination of states is bounded, and u is no longer open.
+2. A combination of states whose rate is zero is constant.
+3. The states of a stable linear subsystem (`StableLinear`) are bounded if its input depends on no open direction.
+4. These steps are repeated until no further direction is closed. Then the states driven by an unknown input
+   (`StableLinear.inputs`) are bounded, by its block's assumption on that input, if the remaining input is bounded; so
+   is the input. The same applies to a linear equation whose stability is not decided and assumed. A signal that does
+   not depend on open directions is bounded; `needs` returns the assumptions used.
 
-Each "does not move" is decided exactly, in a random prime field: `dmframe.exact.shift`. Parameters have the graph's own
-numbers there: with other numbers, a combination may close that this graph leaves open. That trajectories, with the
-derivatives that appear, are bounded is an assumption, and so is that no denominator comes close to zero.
+Each independence is decided exactly, in a random prime field: `dmframe.exact.shift`. Parameters have the graph's own
+values there; with other values, a direction may be closed that this graph leaves open. Trajectories and the derivatives
+that appear are assumed to be bounded, and denominators are assumed to stay away from zero.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SIGNED = (1, -1)
 @final
 @dataclass(frozen=True)
 class Bases:
-    """What is bounded to begin with: columns; what is driven may follow, and stands with the block that says so."""
+    """Initially bounded columns, and linear subsystems that may follow, each with the block that states it."""
 
     vectors: tuple[SX, ...]
     linear: tuple[tuple[str, StableLinear], ...] = ()
@@ -59,10 +59,11 @@ class Closure:
     Parameters
     ----------
     bases
-        What V or a projection bounds.
+        Columns that V or a projection bounds.
     anywhere
-        Parameters have random values, so that what follows does so at almost all numbers; else the graph's own, but
-        for those in intervals.
+        If true, parameters have random values, so that the results are valid at almost all numbers; otherwise the
+        graph's
+            own values, except for those in intervals.
     zeros
         Labels of parameters that are zero.
     """
@@ -85,7 +86,7 @@ class Closure:
         self._known = Echelon(self._shift.prime, self._columns)
         self.driving: list[tuple[str, StableLinear]] = []
         self.given: list[tuple[str, StableLinear]] = []
-        self._sure: Echelon | None = None  # what is bounded if nothing is assumed of what is driven
+        self._sure: Echelon | None = None  # bounded directions without assumptions on driven states
         self.assumed: list[tuple[str, StableLinear]] = []
         self.missed: list[tuple[str, StableLinear]] = []
         self._follow(bases)
@@ -97,17 +98,17 @@ class Closure:
 
     @property
     def prime(self) -> int:
-        """Of the field in which all is decided."""
+        """Prime of the field in which dependencies are decided."""
         return self._shift.prime
 
     @property
     def tapes(self) -> Sequence[tuple[Sequence[Group], Tape]]:
-        """All that was evaluated, as operations of the field, with the symbols that they read."""
+        """Evaluated expressions as programs, with the symbols that they contain."""
         return self._movement.tapes
 
     @property
     def read(self) -> Sequence[SX]:
-        """The expressions of these operations."""
+        """Expressions of these programs."""
         return self._movement.read
 
     @property
@@ -117,16 +118,16 @@ class Closure:
 
     @property
     def linear(self) -> list[StableLinear]:
-        """What followed from stable linear equations."""
+        """Linear subsystems whose boundedness follows."""
         return [item for _, item in self.driving]
 
     def open_states(self) -> list[Variable]:
-        """States of which some combination is not known to be bounded."""
+        """States that belong to an open direction."""
         free = self._open()
         return [variable for variable, rows in rows_of(self._variables) if any(any(u[rows]) for u in free)]
 
     def conditions(self) -> list[tuple[str, Condition]]:
-        """What had to be assumed, and the conditions that replace what did not follow; by block."""
+        """Assumptions that were used, and conditions that replace what did not follow; by block."""
         stated = [(block, Assumption(_stays_stable(item), "not decided")) for block, item in self.assumed]
         stated += [(block, Assumption(self._stays_bounded(item), "not decided")) for block, item in self.given]
         return [
@@ -139,7 +140,7 @@ class Closure:
         ]
 
     def bounds(self, expressions: Sequence[SX]) -> list[bool]:
-        """Which of these follow: they do not move with any open direction."""
+        """Whether each expression is bounded: it does not depend on an open direction."""
         if not expressions:
             return []
         differences = self._moves([ca.vec(ca.densify(expression)) for expression in expressions])
@@ -149,7 +150,7 @@ class Closure:
         ]
 
     def needs(self, expressions: Sequence[SX]) -> tuple[Text, ...]:
-        """What is assumed of what is subsystem, if these bounded expressions are not bounded without it."""
+        """Assumptions on driven states, if these bounded expressions require them."""
         if self._sure is None:
             return ()
         known, self._known = self._known, self._sure
@@ -159,7 +160,7 @@ class Closure:
         return () if sure else tuple(dict.fromkeys(text_of(c.text) for c in stated if isinstance(c, Assumption)))
 
     def _corrected(self, expression: SX, seen: frozenset[str] = frozenset()) -> bool:
-        """True where each projection's correction in it is bounded: it takes away what a nominal rate has too much."""
+        """True if the correction of each projection in it is bounded, as it is for a bounded nominal rate."""
         used = symbols_in([expression])
         for projection in self._claim.loop.projections:
             if projection.name in seen or not used & symbols_in([projection.correction]):
@@ -177,12 +178,12 @@ class Closure:
         rates = loop.joined([item.nominal for item in loop.projections])
         return {item.name: rate for item, rate in zip(loop.projections, rates, strict=True)}
 
-    def turning(self) -> bool:
-        """No rate moves with what is open: it turns, or drifts, without being felt."""
+    def isolated(self) -> bool:
+        """True if no rate depends on open directions, such as a joint angle that increases without bound."""
         return all(self.bounds([self._rate(variable) for variable in self._variables]))
 
-    def felt(self) -> list[Variable]:
-        """The states whose rates move with what is open."""
+    def affected(self) -> list[Variable]:
+        """States whose rates depend on open directions."""
         rates = [self._rate(variable) for variable in self._variables]
         return [v for v, bounded in zip(self._variables, self.bounds(rates), strict=True) if not bounded]
 
@@ -197,7 +198,7 @@ class Closure:
     def _open(self) -> list[list[int]]:
         return self._known.null_space()
 
-    def _anywhere(self) -> list[int]:
+    def _random_direction(self) -> list[int]:
         """A random combination of all open directions."""
         found = [0] * self._columns
         for u in self._open():
@@ -206,11 +207,11 @@ class Closure:
         return found
 
     def _moves(self, expressions: Sequence[SX]) -> list[list[int]]:
-        """By how much each element moves along a random open direction."""
-        return self._movement.along(expressions, self._anywhere())
+        """Change of each element along a random open direction."""
+        return self._movement.along(expressions, self._random_direction())
 
     def _follow(self, bases: Bases) -> None:
-        """Add what follows until nothing more does."""
+        """Close directions until no further one follows."""
         vectors, waiting = list(bases.vectors), list(bases.linear)
         self._keep_constants()
         while True:
@@ -218,7 +219,7 @@ class Closure:
                 continue
             found = next((item for item in waiting if self._follows(*item)), None)
             if found is None:
-                self._sure = self._sure or self._copied()
+                self._sure = self._sure or self._copy()
                 found = next((item for item in waiting if self._follows_if(*item)), None)
             if found is None:
                 break
@@ -228,18 +229,18 @@ class Closure:
         self.missed = waiting
 
     def _grow(self, vectors: Sequence[SX]) -> bool:
-        """Close directions with bounded vectors; has any been closed?"""
+        """Close directions with bounded vectors; return whether one was closed."""
         directions = self._open()
         if not vectors or not directions:
             return False
         columns = [ca.vec(ca.densify(vector)) for vector in vectors]
-        along = self._anywhere()
+        along = self._random_direction()
         here, there = (self._movement.differences(columns, place, [along])[0] for place in (0, 1))
         steady = [row for row, (a, b) in enumerate(zip(here, there, strict=True)) if a == b and a]
         if not steady:
             return False
         moved = self._movement.differences(columns, 0, directions)
-        free = [next(k for k in range(self._columns) if u[k] == 1 and _alone(k, u, directions)) for u in directions]
+        free = [next(k for k in range(self._columns) if u[k] == 1 and _only_in(k, u, directions)) for u in directions]
         grown = False
         for row in steady:
             functional = [0] * self._columns
@@ -249,7 +250,7 @@ class Closure:
         return grown
 
     def _keep_constants(self) -> None:
-        """Sums and differences of up to three states whose rates cancel keep the value with which they start."""
+        """Close sums and differences of up to three states whose rates cancel, which are constant."""
         columns = [ca.vec(ca.densify(self._rate(variable))) for variable in self._variables]
         flat = [self._movement.values(columns, place) for place in (0, 1)]
         starts = [rows.start for _, rows in rows_of(self._variables)]
@@ -272,19 +273,19 @@ class Closure:
                         functional[start + element] = factor % p
                     self._known.add(functional)
 
-    def _copied(self) -> Echelon:
-        """The bounded directions, to which others can be added."""
+    def _copy(self) -> Echelon:
+        """A copy of the bounded directions, to which others can be added."""
         found = Echelon(self._shift.prime, self._columns)
         for row in self._known.rows:
             found.add(row)
         return found
 
     def _follows(self, block: str, item: StableLinear) -> bool:
-        """True where the remainder is bounded by now, and the linear part stable."""
+        """True if the input is bounded and the linear part stable."""
         return all(self.bounds(list(self.remainders(block, item)))) and bool(is_stable(item, self._numbers))
 
     def _stays_bounded(self, item: StableLinear) -> Text:
-        """What is assumed of inputs, in words that are not their block's."""
+        """Text of the assumption on inputs, independent of the block's own text."""
         used = symbols_in(item.inputs)
         of = [v.label for v in self._variables if used & v.identities]
         of += [leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & leaf.identities]
@@ -292,9 +293,9 @@ class Closure:
         return Text("the input of the linear equation that drives ", listed_text(item.of), made, " stays bounded")
 
     def _follows_if(self, block: str, item: StableLinear) -> bool:
-        """True where what its block assumes is all that lacks: stability, or that the inputs are bounded.
+        """True if only the block's assumption is missing: stability, or bounded inputs.
 
-        An input that is made of what is driven would assume what follows from it.
+        An input that depends on the driven states is excluded, since the argument would be circular.
         """
         only = bool(item.otherwise) and all(isinstance(condition, Assumption) for condition in item.otherwise)
         if only and is_stable(item, self._numbers) is None and all(self.bounds(list(self.remainders(block, item)))):
@@ -309,12 +310,12 @@ class Closure:
         return True
 
     def _contained(self, item: StableLinear) -> bool:
-        """True if bounded states in the inputs would bound what is driven; tested if both have symbols in common."""
+        """True if the input depends on driven states; tested if both have symbols in common."""
         read = symbols_in(item.inputs)
         if not read & symbols_in(item.vectors):
             return False
         known = self._known
-        self._known = self._copied()
+        self._known = self._copy()
         for variable, rows in rows_of(self._variables):
             for column in range(rows.start, rows.stop) if read & variable.identities else ():
                 self._known.add([int(column == k) for k in range(self._columns)])
@@ -323,7 +324,7 @@ class Closure:
         return not all(map(all, moves))
 
     def remainders(self, block: str, subsystem: StableLinear) -> Iterator[SX]:
-        """What is left of each equation of a block next to its stable linear part."""
+        """Input of each equation of a block: its rate without the stable linear part."""
         field, of = self._claim.flow, Text(f"{block}: what drives ", joined(subsystem.of))
         for vector in subsystem.bounded:
             field.record.add(of, vector)
@@ -332,8 +333,8 @@ class Closure:
             yield field.D(vector, of) - linear
 
 
-def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]]) -> bool:
-    """True for the column in which the direction is 1 and all others 0."""
+def _only_in(column: int, own: Sequence[int], directions: Sequence[Sequence[int]]) -> bool:
+    """True for a column in which this direction is 1 and all others are 0."""
     return all(u is own or not u[column] for u in directions)
 
 

@@ -48,7 +48,7 @@ from dmframe.prove.stability import common_margin
 from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 ROUNDING = 1e-9
-"""Of a load's least eigenvalue, as a share of the largest: a point mass has none above zero."""
+"""Relative rounding error of the least eigenvalue of a load: that of a point mass is zero."""
 
 MASS = Written("M(q)", "M(q)", "M(q)")
 BODIES = Text(MASS, " > 0")
@@ -58,9 +58,9 @@ LYAPUNOV = Written("A'P + P A", "AᵀP + P A", r"A^\top P + P A")
 def conditions_of(
     claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
 ) -> tuple[list[Checked], list[Assumption]]:
-    """Everything that a theorem in continuous time needs and that numbers can decide; and what is left to assume.
+    """Conditions of a theorem in continuous time that numbers can decide, and the remaining assumptions.
 
-    Raises `NotApplicableError` for a claim over samples, whose conditions are others (`dmframe.certify.discrete`).
+    Raises `NotApplicableError` for a claim in discrete time, whose conditions are those of `dmframe.certify.discrete`.
     """
     if claim.over_samples:
         raise NotApplicableError(f"{claim.loop.discrete_time}; a proof in continuous time does not reach it")
@@ -96,7 +96,7 @@ def decide(stated: Iterable[tuple[str, Condition]], numbers: Numbers) -> Iterato
 
 
 def conditions_stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
-    """The conditions that blocks state. Raises `NotApplicableError` where a block cannot state its own."""
+    """Conditions that blocks state. Raises `NotApplicableError` for a block that cannot state its conditions."""
     for name, block in claim.diagram.blocks.items():
         seen = view(claim.diagram, name, claim.truths)
         try:
@@ -127,7 +127,7 @@ def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
 
 
 def remedies(claim: Claim, numbers: Numbers) -> list[Text]:
-    """What blocks say of conditions that fail and that their identity needs, such as a friction without a column."""
+    """Remedies that blocks give for failing conditions of their identity, such as a missing friction column."""
     try:
         stated = [
             (name, item) for name, item in conditions_stated(claim) if isinstance(item, Inequality) and item.otherwise
@@ -144,7 +144,7 @@ def _terms(claim: Claim) -> Iterator[tuple[Part, Formula, Stored | Dissipated]]:
 
 
 def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """Every square of V and of the dissipation has a positive weight, every other term one that is not negative."""
+    """Weights: positive for each square of V and of the dissipation, nonnegative for every other term."""
     for part, role, term in _terms(claim):
         weight = term.weight
         if isinstance(term, Square) and is_assumed(term, numbers):
@@ -159,7 +159,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         elif isinstance(term, InformationSquare):
             square = Text(square_of(term.of, "G"), " in ", role)
             yield _least(part, Text("weight of ", square), numbers, weight, strict=False)
-            gathered = sentence("weight of what {G} gathers for {square}", square=square)
+            gathered = sentence("weight of the rate of {G} for {square}", square=square)
             yield _least(part, gathered, numbers, term.by, strict=False)
         elif isinstance(term, LogDet):
             yield _least(part, Text("weight of the divergence of ", term.of, " in ", role), numbers, weight)
@@ -170,7 +170,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             yield _least(part, Text("weight", potential), numbers, weight)
             yield _least(part, Text("width", potential), numbers, term.width)
         elif not is_matrix(claim, weight):
-            strict = role is V  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
+            strict = role is V  # positive in V, since V bounds the vector; zero in dV/dt only loses a conclusion
             yield _least(part, Text("weight of ", square_of(term.of), " in ", role), numbers, weight, strict=strict)
 
 
@@ -182,7 +182,7 @@ def _memories(claim: Claim) -> Iterator[Assumption]:
 
 
 def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
-    """What a divergence is taken of starts positive definite; V, which does not grow, keeps it so."""
+    """Initial positive definiteness of the argument of a divergence, which is preserved if V does not increase."""
     rising = any(part.certificate.residual for part in claim.parts)
     for part, _, term in _terms(claim):
         if not isinstance(term, LogDet):
@@ -207,7 +207,7 @@ def _least(part: Part, of: Text, numbers: Numbers, expression: SX, strict: bool 
 
 
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """Every weight that is a matrix is positive definite: by its factors, or as the mass matrix of the robot."""
+    """Positive definiteness of every matrix weight: by its factors, or as the mass matrix of the robot."""
     for part, role, term in _terms(claim):
         if isinstance(term, Square) and is_assumed(term, numbers):
             continue
@@ -226,7 +226,7 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
 
 
 def load_labels(claim: Claim) -> list[str]:
-    """Loads that a mass matrix holds."""
+    """Labels of loads contained in a mass matrix."""
     found = [
         load_in(claim, (term.weight + term.weight.T) / 2)
         for _, _, term in _terms(claim)
@@ -236,7 +236,7 @@ def load_labels(claim: Claim) -> list[str]:
 
 
 def _loads(claim: Claim) -> Iterator[Finding]:
-    """Loads that a mass matrix holds: what a source gives at all times no graph says, but at some."""
+    """Loads contained in a mass matrix: assumed to be rigid bodies at all times, checked at some."""
     for label in load_labels(claim):
         name = Text(Label(label), " is the inertia of a rigid body")
         yield Assumption(Text(name, ": its pseudo-inertia is not negative"), "property P2")
@@ -247,12 +247,12 @@ def _loads(claim: Claim) -> Iterator[Finding]:
 
 
 def _least_of_load(claim: Claim, label: str) -> tuple[float, float]:
-    """When a load is furthest from a body, and its least eigenvalue there over the largest; 0 for rounding."""
+    """Time at which a load is furthest from a rigid body, and its least eigenvalue over the largest; 0 for rounding."""
     loop = claim.loop
     (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
     times, values = over_horizon(loop, loop.on_path(leaf.symbol))
     rows = np.unique(np.column_stack([values.T, times]).round(12), axis=0)
-    _, first = np.unique(rows[:, :-1], axis=0, return_index=True)  # most loads are the same at most times
+    _, first = np.unique(rows[:, :-1], axis=0, return_index=True)  # most loads are constant most of the time
     found = list[tuple[float, float]]()
     for *body, time in rows[first]:
         values = np.linalg.eigvalsh(np.array(pseudo_inertia(body), dtype=float))

@@ -1,12 +1,12 @@
-"""Whether what a proof concludes, or the loop's own equations, send to zero what the proof assumes to stay above zero.
+"""Check for contradictions: a quantity assumed to stay positive that must vanish by the proof or by the equations.
 
-Three tests, each of which can only refuse: none of them shows that an assumption is true.
+Three tests, each of which can only reject; none of them shows that an assumption is true.
 
-1. A limit: where the vectors that go to zero are zero, is a weight zero too?
-2. Its own rate: does it fall at a constant rate, or at a constant share of itself?
-3. Its own motion: what few states, trajectories and the time decide alone is integrated from the graph's start.
+1. Limit: is a weight zero where the vectors that converge to zero are zero?
+2. Rate: does it decrease at a constant rate, or at a rate proportional to itself?
+3. Motion: if it depends on few states, trajectories and the time only, they are integrated from the graph's start.
 
-The cost is about 0.1 s for a weight of few states; one that needs more than `FEW` is left to the run, which reports it.
+The cost is about 0.1 s for a weight with few states; one with more than `FEW` numbers is checked by runs only.
 """
 
 from __future__ import annotations
@@ -30,49 +30,49 @@ from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import Variable, stack
 
 FEW: Final = 12
-"""Numbers in the states up to which a motion is integrated."""
+"""Largest number of elements of the states for which a motion is integrated."""
 
 POINTS: Final = 5
 SAME: Final = 1e-9
 SOON: Final = 100.0
-"""Time until which a motion is integrated [s]."""
+"""Duration of the integration [s]."""
 LATE: Final = 1e4
-"""Time until which one is that still falls [s]."""
-GONE: Final = 1e-3
-"""Of its start, below which a quantity that still falls counts as going to zero."""
+"""Duration of the integration of a quantity that still decreases [s]."""
+VANISHED: Final = 1e-3
+"""Fraction of its initial value below which a decreasing quantity counts as converging to zero."""
 CALLS: Final = 20000
-"""Of the rates, after which an integration ends without an answer."""
+"""Number of evaluations of the rates after which an integration is abandoned."""
 INSTANTS: Final = 2001
 DENSE: Final = 200001
-"""Of what no state decides: half a millisecond apart until `SOON`, which costs no integration."""
+"""Number of instants for a quantity that depends on no state: half a millisecond apart until `SOON`."""
 STEADY: Final = 0.9
-"""A quantity that falls below this share over a decade of time, and no more slowly over the next, is one that goes to
-zero as a power of time does."""
+"""Factor per decade of time below which a quantity, decreasing no more slowly over the next decade, counts as
+converging to zero like a power of time."""
 
 
 def contradicted(
     claim: Claim, numbers: Numbers, vanishing: Sequence[Vanishing], start: Mapping[str, Any]
 ) -> Iterator[Checked]:
-    """A condition that fails for each assumed quantity that does not stay above a positive constant."""
+    """A failing condition for each assumed quantity that does not stay above a positive constant."""
     for item in assumed_positive(claim, numbers):
         for row in ca.vertsplit(item.column):
             if symbols_in([row]) <= numbers.known:
                 continue
-            why = _in_the_limit(claim, row, vanishing) or _by_its_rate(claim, row)
-            if why := why or _on_its_way(claim, row, numbers, start):
+            why = _in_the_limit(claim, row, vanishing) or _by_rate(claim, row)
+            if why := why or _by_motion(claim, row, numbers, start):
                 name = Text(item.text, " is assumed to stay above a positive constant, and ", why)
                 yield Checked(name, "no contradiction", None, False, SIGNS, "sampled", reads=claim.loop.p)
                 break
 
 
 def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[Text, SX]]:
-    """Of each assumed quantity that `contradicted` may refuse: its name, and the parameters and starts that decide.
+    """Each assumed quantity that `contradicted` may reject: name, and the parameters and initial values that decide.
 
-    Where neither the motion of few states nor what goes to zero can decide a quantity, it is refused at no numbers,
-    but for single ones at which its rate becomes a constant share of it.
+    If neither the motion of few states nor the limit can decide a quantity, it is not rejected at any numbers, except
+    at isolated ones at which its rate is proportional to it.
     """
     loop = claim.loop
-    # what goes to zero is made of the vectors of V and of its derivative
+    # vanishing signals are combinations of the vectors of V and of its derivative
     terms = [term for part in claim.parts for term in (*part.certificate.storage, *part.certificate.dissipation)]
     values = stack(loop.joined([ca.vec(ca.densify(ca.SX(term.value)))])[0] for term in terms)
     for item in assumed_positive(claim, numbers):
@@ -92,9 +92,9 @@ def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[Text, SX]]:
 
 
 def _may_vanish(claim: Claim, row: SX) -> bool:
-    """Whether vectors of V and its derivative, where they are zero, may leave a quantity of parameters alone.
+    """Whether the zeros of the vectors of V and its derivative may determine a quantity by parameters alone.
 
-    So they do where each state in it is, times a constant, in an element whose other states are so determined.
+    This is so if each of its states appears, times a constant, in an element whose other states are determined too.
     """
     terms = [term for part in claim.parts for term in (*part.certificate.storage, *part.certificate.dissipation)]
     parts = [getattr(term, each.name) for term in terms for each in dataclasses.fields(term)]
@@ -115,8 +115,8 @@ def _may_vanish(claim: Claim, row: SX) -> bool:
 
 
 def _in_the_limit(claim: Claim, row: SX, vanishing: Sequence[Vanishing]) -> str:
-    """Zero or below where all that goes to zero is zero."""
-    left, gone = row, list[str]()
+    """Text if it is not positive where all vanishing signals are zero."""
+    left, vanished = row, list[str]()
     states = [x for variable in claim.loop.variables for x in ca.vertsplit(ca.vec(variable.symbol))]
     for item in vanishing:
         for element in ca.vertsplit(ca.vec(item.vector)):
@@ -127,20 +127,22 @@ def _in_the_limit(claim: Claim, row: SX, vanishing: Sequence[Vanishing]) -> str:
                     before, rest = left, state - element / factor
                     (left,) = ca.substitute([left], [state], [ca.simplify(rest) if factor.is_one() else rest])
                     if not ca.is_equal(before, left):
-                        gone.append(item.of)
+                        vanished.append(item.of)
                     break
-    if not gone:
+    if not vanished:
         return ""
     known = symbols_in(p.symbol for p in claim.loop.parameters)
     at_rest = ca.Function("left", [claim.loop.p], [left], {"allow_free": True})
-    names = " and ".join(dict.fromkeys(gone))
+    names = " and ".join(dict.fromkeys(vanished))
     if symbols_in([left]) <= known and float(at_rest(claim.loop.p_values)) <= 0:
-        return f"it is not above zero where {names} {'is' if len(set(gone)) == 1 else 'are'} zero, which V concludes"
+        return (
+            f"it is not above zero where {names} {'is' if len(set(vanished)) == 1 else 'are'} zero, which V concludes"
+        )
     return ""
 
 
-def _by_its_rate(claim: Claim, row: SX) -> str:
-    """It falls by a constant rate, or by a constant share of itself, at random points."""
+def _by_rate(claim: Claim, row: SX) -> str:
+    """Text if, at random points, it decreases at a constant rate, or at a rate proportional to itself."""
     rate = slope(claim, row)
     if rate is None or rate.is_zero():
         return ""
@@ -152,14 +154,14 @@ def _by_its_rate(claim: Claim, row: SX) -> str:
     ])  # fmt: skip
     if not np.all(np.isfinite(pairs)):
         return ""
-    for way, values in (("{:.4g} times itself", pairs[:, 1] / pairs[:, 0]), ("{:.4g}", pairs[:, 1])):
+    for form, values in (("{:.4g} times itself", pairs[:, 1] / pairs[:, 0]), ("{:.4g}", pairs[:, 1])):
         if values[0] < 0 and np.ptp(values) <= SAME * abs(values[0]):
-            return f"its rate is {way.format(values[0])} a second"
+            return f"its rate is {form.format(values[0])} a second"
     return ""
 
 
-def _on_its_way(claim: Claim, row: SX, numbers: Numbers, start: Mapping[str, Any]) -> str:
-    """It reaches zero, or goes there, along the motion of the few states that decide it."""
+def _by_motion(claim: Claim, row: SX, numbers: Numbers, start: Mapping[str, Any]) -> str:
+    """Text if it reaches zero, or converges to it, along the motion of the few states that determine it."""
     states = _needed(claim, row)
     if states is None:
         return ""
@@ -177,12 +179,12 @@ def _on_its_way(claim: Claim, row: SX, numbers: Numbers, start: Mapping[str, Any
     if np.any(g <= 0):
         first = int(np.argmax(g <= 0))
         return f"it is {g[first]:.4g} at t = {time[first]:.6g} s"
-    falls = (g[-1] < GONE * g[0] and g[-1] < 0.7 * np.interp(time[-1] / 2, time, g)) or _as_a_power(time, g)
+    falls = (g[-1] < VANISHED * g[0] and g[-1] < 0.7 * np.interp(time[-1] / 2, time, g)) or _as_a_power(time, g)
     return f"it is down to {g[-1]:.4g} from {g[0]:.4g} at t = {time[-1]:.6g} s, and falls" if falls else ""
 
 
 def _needed(claim: Claim, row: SX) -> list[Variable] | None:
-    """The states that decide a quantity, if these are few; what a projection corrects is no motion of its own."""
+    """States that determine a quantity, if they are few; None for one with an active projection."""
     loop, used, found = claim.loop, symbols_in([row]), list[Variable]()
     while True:
         more = [v for v in loop.variables if v not in found and used & v.identities]
@@ -195,7 +197,7 @@ def _needed(claim: Claim, row: SX) -> list[Variable] | None:
 
 
 def _begin(claim: Claim, states: Sequence[Variable], numbers: Numbers, start: Mapping[str, Any]) -> np.ndarray | None:
-    """Where they start; None where graph and blocks do not say it."""
+    """Initial values of the states; None if graph and blocks do not state them."""
     columns = list[np.ndarray]()
     for variable in states:
         label = variable.label
@@ -208,7 +210,7 @@ def _begin(claim: Claim, states: Sequence[Variable], numbers: Numbers, start: Ma
 
 
 def _as_a_power(time: np.ndarray, g: np.ndarray) -> bool:
-    """It falls over the last two decades of time by equal shares, as 1/sqrt(t) does: no constant is left below it."""
+    """True if it decreases over the last two decades by equal factors, as 1/sqrt(t) does: no positive lower bound."""
     if time[-1] < LATE or not np.all(np.diff(g[time > SOON]) < 0):
         return False
     first, middle, last = np.log(np.interp([SOON, np.sqrt(SOON * LATE), LATE], time, g))
@@ -216,7 +218,7 @@ def _as_a_power(time: np.ndarray, g: np.ndarray) -> bool:
 
 
 def _course(own: ca.Function, p: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """The quantity over time: to `SOON`, and on to `LATE` unless it is gone; None where that is not found."""
+    """The quantity over time: until `SOON`, and until `LATE` unless it has vanished; None if the integration fails."""
     time, g, at = np.zeros(0), np.zeros(0), begin
     for first, last in ((0.0, SOON), (SOON, LATE)):
         times = np.linspace(first, last, INSTANTS if begin.size else DENSE)
@@ -225,13 +227,13 @@ def _course(own: ca.Function, p: np.ndarray, begin: np.ndarray) -> tuple[np.ndar
             break
         found = own.map(times.size)(states, times[None, :], np.tile(p[:, None], times.size))[1].full().ravel()
         time, g, at = np.concatenate([time, times]), np.concatenate([g, found]), states[:, -1]
-        if not (np.all(g > 0) and g[-1] > GONE * g[0]):
+        if not (np.all(g > 0) and g[-1] > VANISHED * g[0]):
             break
     return (time, g) if time.size and np.all(np.isfinite(g)) else None
 
 
 def _states(own: ca.Function, p: np.ndarray, begin: np.ndarray, times: np.ndarray) -> np.ndarray | None:
-    """(states, times); None where the integration takes too long or fails."""
+    """(states, times); None if the integration takes too long or fails."""
     if not begin.size:
         return np.zeros((0, times.size))
     from scipy.integrate import solve_ivp

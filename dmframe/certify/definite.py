@@ -1,4 +1,4 @@
-"""Matrices that weigh squares: positive definite, decided by rational factors or by the bodies that the links are."""
+"""Matrix weights of squares: positive definiteness by rational factors, or by the physical consistency of the links."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
 
 
 def least_body_pivot(robot: Any) -> Fraction:
-    """Above zero iff each link's inertia is that of some mass distribution, which makes M(q) > 0 at every q."""
+    """Positive iff each link's inertia is that of some mass distribution; M(q) is then positive definite at every q."""
     return min(min(pivots(pseudo_inertia(row))) for row in robot.inertia)
 
 
@@ -36,29 +36,29 @@ def body_pivots(diagram: Diagram) -> SX:
 
 
 def is_mass_matrix(claim: Claim, weight: SX) -> bool:
-    """True for a weight that is, identically, the mass matrix of the diagram's robot at a state of its plant.
+    """True for a weight that is identically the mass matrix of the diagram's robot at a state of its plant.
 
-    The last link may hold a load, a source's ten parameters: then it is one if the load is a body, see `load_in`. A
-    diagonal of parameters that are not negative, such as rotors, may be added to it.
+    The last link may contain a load, ten parameters from a source; the weight is then a mass matrix if the load is a
+    rigid body, see `load_in`. A diagonal of nonnegative parameters, such as rotor inertias, may be added.
     """
     return _matched(claim, weight) is not None
 
 
 def load_in(claim: Claim, weight: SX) -> str:
-    """The label of the load that the last link of a mass matrix holds; empty where it holds none."""
+    """Label of the load contained in the last link of a mass matrix; empty without a load."""
     return _matched(claim, weight) or ""
 
 
 def is_matrix(claim: Claim, weight: SX) -> bool:
-    """True for a weight that is no diagonal; of one joint, a mass matrix that holds an unknown load."""
+    """True for a weight that is not diagonal; for one joint, a mass matrix with an unknown load."""
     return not weight.is_column() or (weight.is_scalar() and bool(load_in(claim, weight)))
 
 
 def _matched(claim: Claim, weight: SX) -> str | None:
-    """The label of the load in a mass matrix, empty where it holds none; None for another weight."""
+    """Label of the load in a mass matrix, empty without a load; None for any other weight."""
     key = nodes(weight)
     if key not in claim.matched:
-        claim.matched[key] = weight, _match(claim, weight)  # with the weight, which keeps its identity
+        claim.matched[key] = weight, _match(claim, weight)  # the stored weight keeps the identities of its nodes unique
     return claim.matched[key][1]
 
 
@@ -82,7 +82,7 @@ def _match(claim: Claim, weight: SX) -> str | None:
 
 
 def _rotors(claim: Claim, weight: SX) -> Iterator[SX]:
-    """None, then each column of parameters in the weight that are declared not to be negative."""
+    """No rotors, then each column of parameters in the weight that are declared nonnegative."""
     size, used, blocks = weight.shape[0], symbols_in([weight]), claim.diagram.blocks
     yield ca.SX(size, 1)
     for parameter in claim.diagram.loop.parameters:
@@ -93,10 +93,10 @@ def _rotors(claim: Claim, weight: SX) -> Iterator[SX]:
 
 
 def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:
-    """True for the mass matrix, at a state of the plant, of estimated bodies that V or a projection keeps bodies.
+    """True for the mass matrix of estimates that V or a projection keeps physically consistent.
 
-    V keeps them in a compact set of bodies, if it does not rise; a projection at a share of the nominal ones or above,
-    whatever V does. Such a mass matrix is positive definite, uniformly.
+    A V that does not increase keeps them in a compact set of consistent parameters; a projection keeps them above a
+    fraction of the nominal ones, for any V. Such a mass matrix is uniformly positive definite.
     """
     symbols = symbols_of(claim)
     return any(
@@ -108,7 +108,7 @@ def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:
 
 
 def _kept_bodies(claim: Claim) -> Iterator[SX]:
-    """Inertial parameters of estimated links that stay bodies, of all links in one column."""
+    """Estimated inertial parameters of links that stay physically consistent, all links in one column."""
     for projection in claim.loop.projections:
         if isinstance(projection.set, Bodies):
             yield projection.state[: projection.set.nominal.numel()]
@@ -130,7 +130,7 @@ def _poses(claim: Claim, matrix: SX) -> Iterator[tuple[SX, Any]]:
 
 
 def least_sampled(claim: Claim, weight: SX) -> float:
-    """The least eigenvalue of a weight at 200 sampled states."""
+    """Least eigenvalue of a weight at 200 sampled states."""
     loop = claim.loop
     function = ca.Function("W", [loop.state, loop.p], [weight])
     rng = np.random.default_rng(0)

@@ -1,8 +1,8 @@
-"""Whether a delay that a block is given is the plant's: commands and measurements are followed through their memories.
+"""Whether a configured delay of a block is that of the plant: commands and measurements are traced through memories.
 
-What a block holds as the command of a sample is traced back, sample by sample, through its sampled states to the
-command that it gave; what the plant applies, through the plant's sampled states to the command that it was given; and
-what is measured, to the position. So no block needs to be known by name. The cost is a look at a few columns.
+The command that a block uses for a sample is traced back, sample by sample, through the block's sampled states to its
+output; the command that the plant applies, through the plant's sampled states to its input; and the measurement, to the
+position. No block is identified by name. The cost is small, since few columns are traced.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from dmframe.diagram.closed_loop import ClosedLoop, Variable, stack
 from dmframe.diagram.pieces import rows_of
 
 MOST: Final = 10
-"""Samples up to which a memory is followed; one that holds a value for ever has no end."""
+"""Number of samples up to which a memory is traced; a hold has no end."""
 
 POINTS: Final = 3
 NEAR: Final = 1e-9
-"""Of two numbers that are one expression, relative to it; other commands differ at random points."""
+"""Relative difference of two values of one expression; other commands differ at random points."""
 
 SOURCE: Final = "the means over a sample"
 
@@ -37,9 +37,9 @@ SOURCE: Final = "the means over a sample"
 @final
 @dataclass(frozen=True)
 class Late:
-    """By how many samples a signal may be late, and the blocks through whose memories it passed.
+    """Numbers of samples by which a signal may be delayed, and the blocks whose memories delay it.
 
-    `copied`: it is the signal itself, element by element, and nothing else.
+    `copied`: the result is the signal itself, element by element.
     """
 
     by: tuple[int, ...]
@@ -47,7 +47,7 @@ class Late:
     copied: bool
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """``1 (line)``."""
         more = "and more" if len(self.by) == MOST else ""
         counted = (
@@ -57,29 +57,29 @@ class Late:
 
 
 def delay_conditions(claim: Claim, part: Part) -> Iterator[Checked]:
-    """For each command that rows hold, whether it is the one that acted; nothing where that is not decided."""
+    """For each command in rows, whether it is the applied one; no condition if this is not decided."""
     for item in part.certificate.acted:
-        taken, command, measured = _taken(claim, item), _of_command(claim, item), _of_position(claim, item)
-        if taken is None or command is None or measured is None:
+        used, command, measured = _used_delay(claim, item), _of_command(claim, item), _of_position(claim, item)
+        if used is None or command is None or measured is None:
             continue
         text = Text(
-            f"{part.block}: its rows take a delay of {taken} samples, and the plant delays commands by "
-            f"{command.words} and measurements by {measured.words}"
+            f"{part.block}: its rows use a delay of {used} samples, and the plant delays commands by "
+            f"{command.text} and measurements by {measured.text}"
         )
-        wrong = max(abs(taken - there - back) for there in command.by for back in measured.by)
+        wrong = max(abs(used - there - back) for there in command.by for back in measured.by)
         if not (wrong or (command.copied and measured.copied)):
-            continue  # another signal with the same delay: what acted is left to an assumption
-        expression = "what rows take = from the command to the robot + from the robot back"
+            continue  # another signal with the same delay: the applied command is assumed
+        expression = "delay in the rows = delay of commands + delay of measurements"
         yield Checked(text, expression, 0.0 - wrong, not wrong, SOURCE, strict=False, margin=ca.SX(0, 1))
 
 
 def decided_delays(claim: Claim, part: Part) -> bool:
-    """True where nothing is left to assume of a block's delays."""
+    """True if no assumption about a block's delays remains."""
     return bool(part.certificate.acted) and len(list(delay_conditions(claim, part))) == len(part.certificate.acted)
 
 
-def _taken(claim: Claim, item: Acted) -> int | None:
-    """How many samples before the one that is over the command was given that the block holds for it."""
+def _used_delay(claim: Claim, item: Acted) -> int | None:
+    """Age in samples of the command that the block uses, relative to the previous sample."""
     loop = claim.loop
     own, column = _memories(loop, loop.controller), ca.vertsplit(item.held)
     traced = 0
@@ -92,19 +92,19 @@ def _taken(claim: Claim, item: Acted) -> int | None:
 
 
 def _of_command(claim: Claim, item: Acted) -> Late | None:
-    """By how many samples what the plant applies is behind what it was commanded."""
+    """Delay in samples from the command to the value that the plant applies."""
     return _late(claim, item.command, [leaf.symbol for leaf in claim.loop.commanded])
 
 
 def _of_position(claim: Claim, item: Acted) -> Late | None:
-    """By how many samples what is measured is behind the position."""
+    """Delay in samples from the position to its measurement."""
     if not all(row.is_symbolic() for row in ca.vertsplit(ca.SX(item.position))):
         return None
     return _late(claim, item.seen, [item.position])
 
 
 def _late(claim: Claim, expression: SX, signals: Sequence[SX]) -> Late | None:
-    """By how many samples a column is behind one of the signals; None where it is made of none of them."""
+    """Delay in samples of a column relative to one of the signals; None if it depends on none of them."""
     loop = claim.loop
     found = _followed(loop, ca.SX(expression), symbols_in(signals))
     elements = [ca.vertsplit(ca.vec(ca.SX(signal))) for signal in signals]
@@ -116,7 +116,7 @@ def _late(claim: Claim, expression: SX, signals: Sequence[SX]) -> Late | None:
 
 
 def _followed(loop: ClosedLoop, expression: SX, wanted: set[int]) -> Late | None:
-    """At which samples one of the wanted symbols is in what an expression is made of, through memories of the plant."""
+    """Samples at which one of the wanted symbols appears in an expression, traced through memories of the plant."""
     memories, found, through = _memories(loop, loop.plant), list[int](), dict[str, None]()
     here = _leaves(loop, expression)
     for lag in range(MOST):
@@ -131,12 +131,12 @@ def _followed(loop: ClosedLoop, expression: SX, wanted: set[int]) -> Late | None
 
 
 def _leaves(loop: ClosedLoop, expression: SX) -> list[SX]:
-    """At the graph's numbers: a share of 0 takes nothing of the sample before."""
+    """Symbols of an expression at the graph's numbers: a factor of 0 removes the previous sample."""
     return list(ca.symvar(ca.substitute(expression, loop.p, ca.DM(loop.p_values))))
 
 
 def _copied(loop: ClosedLoop, row: SX, own: Sequence[SX]) -> bool:
-    """True for an element that is its own signal, now or earlier, but for what is drawn and rounded."""
+    """True for an element that equals its own signal, present or earlier, except for noise and rounding."""
     memories, others = _memories(loop, loop.plant), symbols_in([*own, loop.drawn, loop.time, loop.period])
     here, passed = _leaves(loop, row), dict[int, SX]()
     while here:
@@ -149,7 +149,7 @@ def _copied(loop: ClosedLoop, row: SX, own: Sequence[SX]) -> bool:
 
 
 def _kept(loop: ClosedLoop, kept: Sequence[SX], signals: Sequence[SX]) -> bool:
-    """True where a constant signal passes unchanged, small, or large compared with the rounding."""
+    """True if a constant signal is passed unchanged, for a small one or one large compared with the rounding."""
     drawn, value = loop.drawn, ca.SX.sym("value")
     own = ca.substitute(stack(kept), loop.p, ca.DM(loop.p_values))
     same = ca.substitute(own, stack(signals), value * ca.SX.ones(len(signals)))
@@ -164,7 +164,7 @@ def _kept(loop: ClosedLoop, kept: Sequence[SX], signals: Sequence[SX]) -> bool:
 
 
 def _memories(loop: ClosedLoop, states: Sequence[Variable]) -> Mapping[int, tuple[SX, str]]:
-    """What each element of sampled states becomes, and its block, by the identity of the element's symbol."""
+    """Next value of each element of sampled states, and its block, by the identity of the element's symbol."""
     found, wanted = dict[int, tuple[SX, str]](), {state.label for state in states if state.sampled}
     for variable, rows in rows_of(loop.stepped):
         if variable.label in wanted:
@@ -174,7 +174,7 @@ def _memories(loop: ClosedLoop, states: Sequence[Variable]) -> Mapping[int, tupl
 
 
 def _same(one: SX, other: SX, parameters: SX, values: np.ndarray) -> bool:
-    """True for one expression, at random points with the graph's own parameters; a command is a copy of another."""
+    """True if two expressions are equal at random points with the graph's parameters; a command may copy another."""
     known = symbols_in([parameters])
     leaves = stack(leaf for leaf in ca.symvar(one - other) if leaf.element_hash() not in known)
     function, rng = ca.Function("same", [leaves, parameters], [one, other]), np.random.default_rng(0)

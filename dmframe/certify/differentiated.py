@@ -1,4 +1,4 @@
-"""The record of all that a proof differentiates by the chain rule: what must neither jump nor hold what has no rate."""
+"""Record of all expressions that a proof differentiates by the chain rule; they must be continuous and have rates."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import casadi as ca
 from dmframe.block.certificate import SX
 
 DEEP: Final = 20
-"""How deep two expressions are compared, to keep what is differentiated twice only once."""
+"""Depth to which two expressions are compared, to store a repeated one only once."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Differentiated:
-    """One entry: `of` in words, beginning with its block, and a column in the leaves of the closed loop."""
+    """One entry: a text that begins with its block, and a column in the independent variables of the loop."""
 
     of: str
     expression: SX
@@ -25,10 +25,10 @@ class Differentiated:
 
 @final
 class Record:
-    """What has been differentiated so far, in order.
+    """Expressions differentiated so far, in order.
 
-    `dmframe.certify.claim.Field.derivative` writes it, so that nothing can be differentiated and not be examined by
-    `dmframe.certify.smoothness`: no list has to be kept elsewhere.
+    `dmframe.certify.operators.Flow.D` writes it, so that every differentiated expression is examined by
+    `dmframe.certify.smoothness`.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Record:
         self._known = dict[str, list[SX]]()
 
     def add(self, of: str, expression: SX) -> None:
-        """Enter an expression; one that is entered already is not entered twice."""
+        """Enter an expression, unless it is entered already."""
         column = ca.vec(ca.densify(ca.SX(expression)))
         known = self._known.setdefault(of, [])
         if not any(other.shape == column.shape and ca.is_equal(other, column, DEEP) for other in known):
@@ -44,5 +44,5 @@ class Record:
             self._entries.append(Differentiated(of, column))
 
     def since(self, count: int) -> Sequence[Differentiated]:
-        """The entries after the first so many."""
+        """Entries after the first `count`."""
         return self._entries[count:]

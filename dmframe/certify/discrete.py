@@ -1,4 +1,4 @@
-"""Conditions, assumptions and statements of a claim over samples: what is left once its identity holds."""
+"""Conditions, assumptions and statements of a claim in discrete time, if its identity holds."""
 
 from __future__ import annotations
 
@@ -25,13 +25,12 @@ from dmframe.common.text import Label, Text, Written, joined, listed_text, name_
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact import Tape, Trial
 
-SIGNS = sentence("{V} is positive, what it loses and gains not negative")
+SIGNS = sentence("{V} is positive, its decrease and its residual are not negative")
 LEMMAS: Final[Mapping[type, Text]] = {
-    NormalisedSteps: sentence("a box is convex, and {V} weighs each element by itself"),
+    NormalisedSteps: sentence("a box is convex, and {V} weights each element separately"),
     LeastSquaresSteps: sentence(
-        "a box is convex: the nearest point of a face in the norm that {V} weighs with, or a cut where that is "
-        "diagonal, is no farther from what it holds; and {G}, a sum of {share} of which a share is forgotten, is not "
-        "negative",
+        "a box is convex: the nearest point of a face in the norm of {V}, or clipping where that norm is diagonal, is "
+        "no farther from the points of the box; and {G}, a sum of {share} with forgetting, is positive semidefinite",
         share=Written("h h'/floor", "h hᵀ/floor", r"h h^\top/\text{floor}"),
     ),
 }
@@ -39,15 +38,15 @@ _ERROR: Final = Written("|theta - theta_true|^2", "|θ − θ_true|²", r"|\thet
 _ETA: Final = Written("eta^2", "η²", r"\eta^2")
 EACH: Final[Mapping[type, Text]] = {
     NormalisedSteps: sentence(
-        "each normalised step on a row {h}, {y} moves {error}, weighed with {weight}, by minus the squares of what the "
-        "row sees of the error and of what it misses, plus {eta}, each over its norm",
+        "each normalised step with a row {h}, {y} changes {error}, weighted with {weight}, by minus the squares of the "
+        "error in the direction of the row and of the prediction error, plus {eta}, each over its norm",
         error=_ERROR,
         weight=Written("1/Gamma", "1/Γ", r"1/\Gamma"),
         eta=_ETA,
     ),
     LeastSquaresSteps: sentence(
-        "each step of least squares on a row {h}, {y} moves {error}, weighed with {weight}, by minus the square of "
-        "what the row misses over its norm, plus {eta} over the floor; what is forgotten takes away more",
+        "each step of least squares with a row {h}, {y} changes {error}, weighted with {weight}, by minus the square "
+        "of the prediction error over its norm, plus {eta} over the floor; forgetting decreases it further",
         error=_ERROR,
         weight=Written("1/Gamma + G", "1/Γ + G", r"1/\Gamma + G"),
         eta=_ETA,
@@ -56,11 +55,11 @@ EACH: Final[Mapping[type, Text]] = {
 
 
 SHOWN: Final = 6
-"""Signals of which so many are named."""
+"""Largest number of signals that are listed by name."""
 
 
 def discrete_conditions(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
-    """What the proof needs and numbers can decide; and what is left to assume."""
+    """Conditions of the proof that numbers can decide, and the remaining assumptions."""
     claiming = {part.block for part in claim.parts}
     yield from decide(((name, item) for name, item in conditions_stated(claim) if name in claiming), numbers)
     yield from dict.fromkeys(undefined(claim, numbers))
@@ -77,7 +76,7 @@ def discrete_conditions(claim: Claim, numbers: Numbers, start: Mapping[str, Any]
 def _weights(part: Part, numbers: Numbers) -> Iterator[Checked]:
     for role, terms in (
         (sentence("{V}"), part.certificate.storage),
-        (sentence("what {V} loses"), part.certificate.dissipation),
+        (sentence("the decrease of {V}"), part.certificate.dissipation),
         (Text("the residual"), part.certificate.residual),
     ):
         for place, term in enumerate((term for term in terms if isinstance(term, Square)), start=1):
@@ -101,7 +100,7 @@ def _least_squares(
 
 
 def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
-    """That the true value lies in the box: decided where parameters determine it, else assumed."""
+    """The true value is inside the box: decided if parameters determine it, otherwise assumed."""
     if not item.box:
         return
     lower, upper, true = (ca.vec(ca.densify(ca.SX(end))) for end in (*item.box, item.true))
@@ -114,82 +113,87 @@ def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
         yield numbers.decide(text, "lower <= true value <= upper", lemma, room[known], strict=False)
     loop, free = numbers.claim.loop, [row for row in range(room.shape[0]) if row not in known]
     handed = [row for row in free if symbols_in([loop.on_path(room[row])]) <= symbols_in([loop.time, loop.p])]
-    if handed:  # what a source has decides, as far as it is sampled
+    if handed:  # decided by the sampled values of the source
         yield from outside(text, loop.on_path(room[handed]), loop)
     left = sorted({row % true.shape[0] for row in free})
     if left:
-        width, name = (upper - lower)[left], Text(f"{part.block}: box of ", estimate, " holds something")
+        width, name = (upper - lower)[left], Text(f"{part.block}: box of ", estimate, " is not empty")
         yield numbers.decide(name, "lower <= upper", lemma, width, strict=False)
-        whose = "which a source or unknown constants decide" if handed else "which are unknown constants"
+        whose = "which depend on a source or unknown constants" if handed else "which are unknown constants"
         yield Assumption(Text(text, f", in {len(left)} of {true.shape[0]} elements, {whose}"), lemma)
 
 
 def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
-    """What cannot be decided from the graph."""
+    """Facts that cannot be decided from the graph."""
     yield from _domains(claim, symbols, seed)
     yield from of_the_plant(claim.diagram)
-    held = "samples are one period apart, and what is commanded is held from each to the next"
+    held = "samples are one period apart, and commands are held constant between samples"
     yield Assumption(held, "the means over a sample")
     for part in claim.parts:
         for item in part.certificate.steps:
             unexplained = sentence(
-                "{block}: {eta}, what the rows of {of} leave unexplained of the means over a sample, is small: it is "
-                "not bounded here, and can be looked at along a run",
+                "{block}: {eta}, the error of the rows of {of} in the means over a sample, is small: it is "
+                "not bounded here, and can be evaluated along a run",
                 block=part.block,
                 of=name_of(item.estimate),
             )
             yield Assumption(unexplained, EACH[type(item)])
         if part.certificate.plant and not decided_delays(claim, part):
-            acted = "the command that a row holds is what acted in its sample: a delay is as configured, or echoed"
+            acted = "the command in a row was applied in its sample: a delay is as configured, or reported by the robot"
             text = f"{part.block}: {acted}"
             yield Assumption(text, "the means over a sample")
         if part.certificate.steps and not part.certificate.plant:
-            text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
-            yield Assumption(text, "the means over a sample")
+            implied = (
+                "the plant's motion satisfies the equation of its rows; the block states no relation that implies it"
+            )
+            yield Assumption(f"{part.block}: {implied}", "the means over a sample")
         if part.certificate.residual:
             within = symbols_in(map(ca.SX, (piece for term in part.certificate.residual for piece in term.pieces)))
             made = [g.label for g in symbols.groups if within & symbols_in([g.symbol]) and g.kind != "parameter"]
             of = listed_text(list(map(Label, made))) or "parameters"
-            text = Text(f"{part.block}: the residual besides the steps, made of ", of, ", is small: nothing bounds it")
+            text = Text(
+                f"{part.block}: the residual other than that of the steps, a function of ",
+                of,
+                ", is small: no bound of it is proved",
+            )
             yield Assumption(text, "the identity above")
     for leaf in stepping(claim):
         if any(symbols_in(map(ca.SX, term.pieces)) & leaf.identities for p in claim.parts for term in p.stored):
-            yield Assumption(Text(Label(leaf.name), " ", sentence(BETWEEN)), sentence("{V} holds it"))
+            yield Assumption(Text(Label(leaf.name), " ", sentence(BETWEEN)), sentence("{V} contains it"))
     if claim.silent:
         yield Assumption(
-            f"nothing is claimed of {', '.join(claim.silent)}: the proof holds for all commands",
+            f"no claim is made about {', '.join(claim.silent)}: the proof holds for all commands",
             "the claim's own symbols",
         )
     yield Assumption(
-        "joint velocities, and with them the rows, stay bounded; that the robot follows its path is not a part of this "
-        "proof",
-        "what a proof of tracking would need",
+        "joint velocities, and thus the rows, stay bounded; tracking of the path is not a part of this proof",
+        "a proof of tracking would need it",
     )
 
 
 def discrete_statements(claim: Claim) -> Iterator[Statement]:
-    """What follows for the estimates and for V."""
+    """Conclusions for the estimates and for V."""
     for part in claim.parts:
         for item in part.certificate.steps:
             name = Text(name_of(item.estimate), f" ({part.block})")
             if item.box:
-                yield Statement(name, "is bounded", Text("it is put back into its box at each sample"))
+                yield Statement(name, "is bounded", Text("it is projected onto its box at each sample"))
             yield Statement(sentence("{V} of {name}", name=name), "does not rise where eta is zero", EACH[type(item)])
             many = f", over {len(item.rows)} steps a sample" if len(item.rows) > 1 else ""
             yield Statement(
-                Text("what the rows see of the error of ", name),
+                Text("the error in the direction of the rows, of ", name),
                 f"is square-summable where eta is{many}",
                 sentence("summed over the samples, with {V} >= 0: {each}", each=EACH[type(item)]),
             )
         if part.certificate.storage:
-            says = "does not rise but by its residual" if part.certificate.residual else "does not rise"
+            says = "rises by its residual at most" if part.certificate.residual else "does not rise"
             yield Statement(sentence("{V} of {block}", block=part.block), says, Text("the identity above"))
 
 
 def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
-    """That what V and a block's memories hold is defined at the next sample: assumed where signals decide it.
+    """V and a block's memories are defined at the next sample: assumed if signals decide it.
 
-    What steps divide by is positive, such as their norms, and so is the period; both are left out.
+    Divisors of update steps, such as their norms, and the period are positive, and are left out.
     """
     for part in claim.parts:
         wanted = list(_needed(claim, part, symbols))
@@ -201,7 +205,7 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
             values, *numbers = outputs_at(tape, symbols, trial)
             divisors, left = _Dividing(trial), iter(numbers)
             for item in steps:
-                item.taken_in(divisors, {name: next(left) for name in item.named})
+                item.result_in(divisors, {name: next(left) for name in item.named})
             return values, divisors.residues
 
         values, known = in_random_field("domains", seed, found)
@@ -210,16 +214,16 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
         if moving:
             more = "" if len(moving) <= SHOWN else " and others"
             text = (
-                "{block}: what its samples divide by stays away from zero, and what they take roots or logarithms of "
+                "{block}: the divisors in its samples stay away from zero, and the arguments of roots and logarithms "
             )
-            text += "stays where these are defined, whatever {moving}{more} do"
+            text += "stay where these are defined, for any values of {moving}{more}"
             named = joined(list(map(Label, moving[:SHOWN])))
             yield Assumption(sentence(text, block=part.block, moving=named, more=more), "its equations need it")
 
 
 @final
 class _Dividing:
-    """The ring of a trial; it collects the residues that it divides by."""
+    """Ring of a trial that collects the residues by which it divides."""
 
     def __init__(self, trial: Trial) -> None:
         self._trial, self.residues = trial, set[int]()
@@ -232,7 +236,7 @@ class _Dividing:
 
 
 def _needed(claim: Claim, of: Part, symbols: Symbols) -> Iterator[SX]:
-    """All that what V and the memories hold at the next sample needs, and that moves."""
+    """Expressions that the next values of V and of the memories depend on, and that vary."""
     own = symbols_in([of.storage])
     kept = {f"{of.block}.{item.state}" for item in of.certificate.delay_lines}
     becomes = [

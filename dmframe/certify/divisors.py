@@ -1,4 +1,4 @@
-"""What must not be zero, or must be defined: divisors and arguments of roots and logarithms."""
+"""Domain conditions: divisors that must be nonzero, and arguments of roots and logarithms."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
 AWAY: Final = "{of} stays away from zero"
 _PARTIAL: Final = frozenset(code for code, operation in OPERATIONS.items() if operation.domain is not None)
 SHOWN = 60
-"""Letters of a divisor that are written out."""
+"""Largest number of characters of a divisor that is printed completely."""
 
 
 def written(divisor: SX) -> Text:
-    """A divisor's text; of a long one, what it is made of."""
+    """Text of a divisor; of a long one, the signals in it."""
     symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(divisor))
     names = {symbol.name().rpartition("_")[0] for symbol in ca.symvar(divisor)}
     if len(names) == 1 < symbols.numel() and ca.is_equal(divisor, ca.sumsqr(symbols), symbols.numel() + 2):
@@ -40,9 +40,9 @@ def written(divisor: SX) -> Text:
 
 
 def domains(name: str, risks: Iterable[tuple[int, SX]], moving: set[int]) -> Iterator[Checked]:
-    """That divisors and arguments made of parameters alone are where they have to be, by their margins.
+    """Domain conditions of divisors and arguments that consist of parameters only, by their margins.
 
-    Of an interval a divisor has to be of one sign, which its square does not forget.
+    A divisor over an interval must have one sign; its square is then positive.
     """
     risks = list(risks)
     moves = depending([part for _, part in risks], moving)
@@ -64,10 +64,11 @@ def domains(name: str, risks: Iterable[tuple[int, SX]], moving: set[int]) -> Ite
         yield Checked(text, "", None, True, "", strict=strict, margin=margin)
 
 
-def brought_in(claim: Claim, closure: Closure) -> Iterable[Text]:
-    """What certificates, and derivatives that the proof takes, divide by, and no block's equations do.
+def additional_divisors(claim: Claim, closure: Closure) -> Iterable[Text]:
+    """Divisors in certificates and in derivatives of the proof that appear in no block's equations.
 
-    Two divisors are one where they agree at a random point of a prime field. Raises `ValueFault` where one of them
+    Two divisors are equal if they agree at a random point of a prime field. Raises `ValueFault` if one vanishes at
+    every such point.
     vanishes at every such point.
     """
     symbols = symbols_of(claim, closure.uncertain)
@@ -88,7 +89,7 @@ def brought_in(claim: Claim, closure: Closure) -> Iterable[Text]:
 
 
 def _at(point: dict[str, list[int]], groups: Sequence[Group], trial: Trial) -> list[list[int]]:
-    """One point, which grows as groups come in."""
+    """One point, extended when further symbols appear."""
     for group in groups:
         if group.label not in point:
             point[group.label] = [trial.random() for _ in range(group.symbol.numel())]
@@ -96,7 +97,7 @@ def _at(point: dict[str, list[int]], groups: Sequence[Group], trial: Trial) -> l
 
 
 def _of_equations(claim: Claim) -> Iterator[SX]:
-    """All that the blocks' own equations divide by, in the leaves of the closed loop."""
+    """All divisors in the blocks' own equations, in the independent variables of the closed loop."""
     resolver = claim.diagram.resolver
     for name, model in claim.diagram.models.items():
         if resolver.side(name) is Side.SOURCE:  # a trajectory is a leaf
@@ -131,7 +132,7 @@ def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed
 
 
 def _below(tape: Tape, places: Sequence[int]) -> list[int]:
-    """Instructions of which some others are made, these too, in the order of the tape."""
+    """Instructions on which others depend, including these, in the order of the tape."""
     found, todo = set[int](), list(places)
     while todo:
         place = todo.pop()
@@ -142,7 +143,7 @@ def _below(tape: Tape, places: Sequence[int]) -> list[int]:
 
 
 def _needs(tape: Tape, place: int) -> Iterator[tuple[int, str]]:
-    """The domain condition of an instruction's operands."""
+    """Domain condition of an instruction's operands."""
     node, exponent = tape.nodes[place], tape.exponent(place)
     operation = OPERATIONS.get(node.code)
     if exponent is not None:

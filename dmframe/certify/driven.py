@@ -1,8 +1,8 @@
-"""A closed loop whose commands are free: what sampled states become when any signal is commanded.
+"""Closed loop with free commands: next values of sampled states for arbitrary commands.
 
-A block that stores its own command stores the free one: where the value at the next sample is made of the expression of
-a command, the free symbol takes its place. So no block is known by name, and nothing is left of a law whose command
-alone reads it.
+A block that stores its own command stores the free one: the expression of a command is replaced by the free symbol
+wherever it appears in a next value. No block is identified by name, and no part of a law remains that affects the loop
+through its command only.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from dmframe.diagram.closed_loop import Variable, stack
 
 @final
 class DrivenLoop:
-    """What becomes of the sampled states of a diagram under free commands.
+    """Next values of the sampled states of a diagram for free commands.
 
     Attributes
     ----------
     commands
-        Free symbols, a column: what the plant is commanded.
+        Free symbols, a column: the commands to the plant.
     """
 
     def __init__(self, diagram: Diagram) -> None:
@@ -37,17 +37,17 @@ class DrivenLoop:
         self._resolver = diagram.resolver.with_outputs(self._free)
 
     def measured(self, expressions: Sequence[SX]) -> list[SX]:
-        """Expressions with measured signals replaced by what they are in the plant."""
+        """Expressions with measured signals replaced by the plant's expressions."""
         leaves, meanings = self._measurements
         return list(ca.substitute(list(expressions), [leaves], [meanings])) if leaves.numel() else list(expressions)
 
     @property
     def feeds_through(self) -> bool:
-        """True where a measured signal holds a command of the same instant."""
+        """True if a measured signal contains a command of the same instant."""
         return bool(ca.depends_on(self._measurements[1], self.commands))
 
     def becomes(self, expressions: Sequence[SX]) -> Mapping[str, SX]:
-        """What the states on which expressions depend are one sample later, by label, and those on which they do."""
+        """Next values of the states on which expressions depend, by label, and of the states on which these depend."""
         found, waiting = dict[str, SX](), symbols_in(map(ca.SX, expressions))
         while reached := [v for v in self._loop.stepped if v.label not in found and v.identities & waiting]:
             after = self.measured([self._next(variable) for variable in reached])
@@ -65,7 +65,7 @@ class DrivenLoop:
         return stack(a for a, _ in done), stack(b for _, b in done)
 
     def _next(self, variable: Variable) -> SX:
-        """In the leaves of its side, the commands free; of a controller in continuous time, its step on a clock."""
+        """Next value in the variables of its side, for free commands; an Euler step for a continuous state."""
         model, resolver = self._diagram.models[variable.block], self._resolver
         stated = model.equations.next.get(variable.name)
         if stated is not None:
@@ -84,7 +84,7 @@ class DrivenLoop:
 
     @cached_property
     def _own(self) -> Mapping[str, Sequence[tuple[Sequence[Known], SX]]]:
-        """The commands of each block of a controller, element by element, with the free symbols."""
+        """Commands of each controller block, element by element, with the free symbols."""
         found = dict[str, list[tuple[Sequence[Known], SX]]]()
         for (block, port), free in self._free.items():
             model = self._diagram.models[block]
@@ -105,14 +105,14 @@ class Known(NamedTuple):
 
 
 def known_elements(expression: SX) -> tuple[Known, ...]:
-    """The elements, column by column."""
+    """Elements, column by column."""
     return tuple(Known(row, symbols_in([row])) for row in ca.vertsplit(ca.vec(ca.densify(expression))))
 
 
 def with_nodes(expression: SX, known: Sequence[Known], instead: SX) -> SX:
-    """An expression in which known elements, wherever they stand, are replaced by those of a column of symbols.
+    """An expression with known elements replaced by those of a column of symbols, wherever they appear.
 
-    An element that is written twice is found, too, as long as both are the same operations.
+    A repeated element is found as well, if it consists of the same operations.
     """
     if not _may_hold(expression, known):
         return expression
@@ -134,7 +134,7 @@ def _may_hold(expression: SX, known: Sequence[Known]) -> bool:
 
 
 def _rebuilt(roots: Sequence[SX], marks: Mapping[int, SX]) -> list[SX]:
-    """Expressions with marked nodes replaced, node by node and each once."""
+    """Expressions with marked nodes replaced; each node is rebuilt once."""
     done, kept = dict[int, SX](marks), list(roots)
     waiting = list(roots)
     while waiting:
@@ -143,7 +143,7 @@ def _rebuilt(roots: Sequence[SX], marks: Mapping[int, SX]) -> list[SX]:
         parts = [node.dep(k) for k in range(node.n_dep())] if key not in done else []
         if open_parts := [part for part in parts if part.element_hash() not in done]:
             waiting += open_parts
-            kept += open_parts  # an identity is a node's own while it lives
+            kept += open_parts  # an identity is unique only while the node exists
             continue
         waiting.pop()
         if key not in done:

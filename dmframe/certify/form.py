@@ -1,4 +1,4 @@
-"""The form of a certificate: kinds and shapes of its terms; over samples, also names, and what moves that must not."""
+"""Validity of a certificate: kinds and shapes of its terms; in discrete time, also names and constant expressions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class NotApplicableError(DmframeError):
 
 
 def check_form(name: str, certificate: Certificate) -> None:
-    """Hold a certificate to the shapes that the conditions decide on; raises `NotApplicableError`."""
+    """Check the shapes in a certificate; raises `NotApplicableError`."""
     for text in _ill_formed(certificate):
         raise NotApplicableError(f"{name}: {text}")
 
@@ -64,7 +64,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
     if not ca.SX(certificate.supply).is_scalar():
         rows, columns = ca.SX(certificate.supply).shape
         yield f"expected a scalar supply, found {rows} x {columns}"
-    yield from _ill_driven(certificate.linear)
+    yield from _wrong_subsystems(certificate.linear)
     for barrier in certificate.barriers:
         if not _columns([ca.SX(piece) for piece in barrier.pieces]):
             yield "expected what a barrier is made of to be columns of one length or scalars, found other shapes"
@@ -73,9 +73,9 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
             yield "a cascade has consumes and cannot have dominates; expected one of both"
         dominating = terms[: len(certificate.dominates)]
         if len(certificate.dominates) > len(terms):
-            shares = len(certificate.dominates)
-            yield f"dominates has {shares} shares, expected one for each of {len(terms)} dissipated squares"
-        yield from _ill_paid(certificate)
+            factors = len(certificate.dominates)
+            yield f"dominates has {factors} factors, expected one for each of {len(terms)} dissipated squares"
+        yield from _wrong_domination(certificate)
         if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in dominating):
             yield "a certificate with dominates must dissipate squares with diagonal weights only"
         if any(isinstance(term, Square) and term.positive for term in dominating):
@@ -91,17 +91,17 @@ def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
     yield "truth", list(certificate.truth.values())
 
 
-def _ill_paid(certificate: Certificate) -> Iterator[str]:
-    """The dominating squares have the length of the composed vector: an element must not be counted twice."""
+def _wrong_domination(certificate: Certificate) -> Iterator[str]:
+    """Dominating squares must have the length of the composed vector, so that no element is counted twice."""
     vectors = [ca.SX(term.pieces[0]) for term in certificate.dissipation[: len(certificate.dominates)]]
     lengths = {vector.numel() for vector in vectors}
-    shares = {ca.SX(share).numel() for share in certificate.dominates}
-    if len(lengths) > 1 or not shares <= lengths | {1}:
-        found = ", ".join(map(str, sorted(lengths | shares)))
-        yield f"expected the squares that pay, and their shares, to be of one length, found {found}"
+    factors = {ca.SX(factor).numel() for factor in certificate.dominates}
+    if len(lengths) > 1 or not factors <= lengths | {1}:
+        found = ", ".join(map(str, sorted(lengths | factors)))
+        yield f"expected the dominating squares and their factors to be of one length, found {found}"
 
 
-def _ill_driven(subsystem: Sequence[StableLinear]) -> Iterator[str]:
+def _wrong_subsystems(subsystem: Sequence[StableLinear]) -> Iterator[str]:
     for item in subsystem:
         count = len(item.vectors)
         if not count or len(item.rates) != count or any(len(row) != count for row in item.rates):
@@ -118,7 +118,7 @@ def _ill_driven(subsystem: Sequence[StableLinear]) -> Iterator[str]:
 
 
 def _fits(term: object, pieces: Sequence[SX]) -> bool:
-    """Columns of one length or scalars; some terms have a matrix of weights, or a vector of another length."""
+    """Columns of equal length or scalars; some terms have a matrix of weights, or a vector of another length."""
     if isinstance(term, InformationSquare):
         vector, weight, memory, regressor, by, forgetting = pieces
         rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
@@ -145,7 +145,7 @@ def _columns(pieces: Sequence[SX]) -> bool:
 
 
 def unfit(claim: Claim, part: Part) -> Iterator[str]:
-    """What is wrong with the form of a block's claim."""
+    """Faults in the form of a block's claim."""
     prefix, symbols = f"{part.block}.", claim.sample.symbols
     own = {label.removeprefix(prefix): symbol for label, symbol in symbols.items() if label.startswith(prefix)}
     yield from _inapplicable(part.certificate)
@@ -153,33 +153,33 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
     loop = claim.loop
     constant = loop.constants
     constant |= symbols_in(part.certificate.unknown.values())
-    constant |= symbols_in(leaf.symbol for leaf in stepping(claim))  # between steps, each of which begins a new V
+    constant |= symbols_in(leaf.symbol for leaf in stepping(claim))  # constant between steps, at which V starts again
     allowed = constant | symbols_in(own.values())
     moving = {s.element_hash(): v.label for v in loop.variables for s in ca.symvar(ca.vec(v.symbol))}
     for term in part.stored:
         for piece in term.pieces:
-            for strange in symbols_in([piece]) - allowed:
-                what = moving.get(strange, "what is no parameter")
-                yield f"V holds {what}, of which nothing says what it is one sample later; expected its sampled states"
+            for symbol in symbols_in([piece]) - allowed:
+                what = moving.get(symbol, "a symbol that is not a parameter")
+                yield f"V contains {what}, without its value one sample later; expected its sampled states"
     if symbols_in([ca.SX(term.weight) for term in part.certificate.storage]) - constant:
-        yield "V weighs with what moves; expected weights made of parameters"
+        yield "the weights of V vary; expected functions of parameters"
     weighed = symbols_in([part.storage]) - constant
     for gained in part.certificate.residual:
         for symbol in symbols_in(map(ca.SX, gained.pieces)) & weighed:
             yield (
-                f"what V gains holds {moving[symbol]}, which V holds too, so that V could do anything; expected a "
-                "residual made of what is not in V"
+                f"the residual contains {moving[symbol]}, which V also contains, so that it could cancel any change "
+                "of V; expected a residual without the states of V"
             )
     for item in part.certificate.steps:
         for role, value in item.constant.items():
             if symbols_in([value]) - constant:
-                yield f"the {role} of the steps of {item.estimate} moves; expected one made of parameters"
+                yield f"the {role} of the steps of {item.estimate} varies; expected a function of parameters"
         if any(symbols_in([end]) - constant for end in item.box):
-            yield f"the box of {item.estimate} moves; expected one made of parameters"
+            yield f"the box of {item.estimate} varies; expected a function of parameters"
         rows = symbols_in(map(ca.SX, (piece for row in item.rows for piece in row)))
         for name, state in item.states.items():
             if rows & symbols_in([state]):
-                yield f"the rows of {item.estimate} hold {name} itself; expected what is measured or stored"
+                yield f"the rows of {item.estimate} contain {name} itself; expected measured or stored values"
     for relation in part.certificate.plant:
         momentum = ca.Function("momentum", ca.symvar(relation.momentum), [relation.momentum])
         if codes(momentum) & (JUMPS | KINKS | EDGES):
@@ -187,13 +187,13 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
         flowing = symbols_in(variable.symbol for variable in loop.flowing)
         if symbols_in([relation.momentum]) - flowing - constant:
             yield (
-                "the momentum of a relation holds more than what the plant moves between samples and constants: the "
-                "time, or what jumps at a sample; expected states of the plant"
+                "the momentum of a relation depends on more than continuous states of the plant and constants: on the "
+                "time, or on a sampled state; expected continuous states of the plant"
             )
 
 
 def _inapplicable(certificate: Certificate) -> Iterator[str]:
-    """Fields that a claim over samples does not have."""
+    """Fields that do not exist in a discrete-time claim."""
     for name in ("linear", "errors", "barriers", "filters", "dominates", "consumes", "task"):
         if getattr(certificate, name):
             yield f"expected no {name} of a block whose stored states are sampled"
@@ -206,7 +206,7 @@ def _inapplicable(certificate: Certificate) -> Iterator[str]:
 
 
 def stepping(claim: Claim) -> list[Leaf]:
-    """What sources declare to be constant between steps, such as a load."""
+    """Sources that declare to be constant between steps, such as a load."""
     resolver = claim.diagram.resolver
     return [leaf for (block, port, _), leaf in resolver.trajectories.items() if resolver.steps(block, port)]
 
@@ -215,7 +215,7 @@ def _misshapen(part: Part, own: Mapping[str, SX]) -> Iterator[str]:
     spoken = (name for item in part.certificate.steps for name in item.names)
     for name in (*spoken, *(item.state for item in part.certificate.delay_lines)):
         if name not in own:
-            yield f"certificate() speaks of {name}, which is none of its sampled states; {nearest(name, own)}"
+            yield f"certificate() names {name}, which is not one of its sampled states; {nearest(name, own)}"
             return
     for item in part.certificate.steps:
         size = ca.SX(item.theta).numel()
@@ -238,13 +238,13 @@ def _misshapen(part: Part, own: Mapping[str, SX]) -> Iterator[str]:
         for name, symbol in item.states.items():
             if own[name].shape != symbol.shape or not ca.is_equal(symbol, own[name], 2):
                 start = "" if name == item.estimate else f" for {name}"
-                yield f"the steps of {item.estimate} start{start} from something else than that state"
+                yield f"the steps of {item.estimate} start{start} from another value than that state"
     for memory in part.certificate.delay_lines:
         if not ca.SX(memory.when).is_scalar():
-            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers say so; expected one"
+            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers are set; expected one"
         if not memory.fits(own[memory.state]):
             shape, one = own[memory.state].shape, memory.newest.shape
-            yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"
+            yield f"{memory.state} is {_size(shape)}, which is not an integer multiple of {_size(one)}"
     for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.residual):
         vector, weight = map(ca.SX, term.pieces)
         if not vector.is_column() or weight.shape not in (vector.shape, (1, 1)):

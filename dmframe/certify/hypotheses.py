@@ -1,4 +1,4 @@
-"""What a theorem takes for granted, read off the closed loop: no block has to remember it."""
+"""Hypotheses of a theorem, derived from the closed loop, so that no block has to state them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix, is_mass_matrix_of_bodies
-from dmframe.certify.divisors import brought_in, domains, written
+from dmframe.certify.divisors import additional_divisors, domains, written
 from dmframe.common.errors import listed
 from dmframe.common.text import Label, Text, joined, listed_text, name_of, sentence
 from dmframe.diagram import Diagram
@@ -24,19 +24,19 @@ from dmframe.diagram.wiring import Wire
 from dmframe.program import DIVISIONS, OPERATIONS
 
 BETWEEN: Final = "is constant between its steps; the proof holds between two steps, each of which starts a new {V}"
-"""The assumption on a source that steps."""
+"""Text of the assumption on a piecewise constant source."""
 
 ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "first five ")
 
 
 def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
-    """All that cannot be decided from the graph, in the order in which a theorem states it."""
+    """All facts that cannot be decided from the graph, in the order of a theorem's statement."""
     found = [
         *of_the_plant(claim.diagram),
         *_known(claim.diagram),
         *_ranks(claim),
         *(item for name in claim.diagram.blocks for item in _divisors(claim, name)),
-        *(Assumption(text, "the proof needs it") for text in brought_in(claim, closure)),
+        *(Assumption(text, "the proof needs it") for text in additional_divisors(claim, closure)),
         *_open(closure),
         *_trajectories(claim),
         *_measured(claim.diagram),
@@ -49,18 +49,20 @@ def of_the_plant(diagram: Diagram) -> Iterator[Assumption]:
     """The model of the servo and of the robot."""
     plant = [name for name, block in diagram.blocks.items() if block.side is Side.PLANT]
     if plant:
-        text = f"the robot and its servo are what the graph says, rigid, with constant parameters: {', '.join(plant)}"
+        text = f"the robot and its servo are as in the graph, rigid, with constant parameters: {', '.join(plant)}"
         yield Assumption(text, "eqs. (3), (6), (7)")
 
 
 def _known(diagram: Diagram) -> Iterator[Assumption]:
-    """True numbers of the robot that a controller computes with."""
+    """True numbers of the robot that a controller uses."""
     for known in known_truths(diagram):
-        yield Assumption(f"{known.block} ({known.kind}) knows exactly {known.words}", "its equations hold them")
+        yield Assumption(
+            f"{known.block} ({known.kind}) uses exact values of {known.words}", "its equations contain them"
+        )
 
 
 def _ranks(claim: Claim) -> Iterator[Assumption]:
-    """A matrix of full row rank that some block reads."""
+    """Matrices of full row rank that some block reads."""
     read = {(source.block, source.port) for source in claim.diagram.sources.values() if isinstance(source, Wire)}
     for name, model in claim.diagram.models.items():
         for port in model.block.outputs:
@@ -70,7 +72,7 @@ def _ranks(claim: Claim) -> Iterator[Assumption]:
 
 
 def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
-    """Matrices and numbers that a block's equations divide by, where they hold more than parameters."""
+    """Matrices and numbers that a block's equations divide by, if they contain more than parameters."""
     model = claim.diagram.models[name]
     for inverted in model.inverted:
         text = _definite(claim, model, inverted)
@@ -91,17 +93,17 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
 
 
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
+    """Divisors and arguments, made of parameters only, that are outside their domain at the graph's numbers."""
     for name, model in claim.diagram.models.items():
         items = list(domains(name, claim.risks[name], model.moving))
         for item, least in zip(items, numbers.leasts([item.margin for item in items]), strict=True):
-            # None where it holds more than parameters, or another divisor is reported
+            # None if it contains more than parameters, or another divisor is reported
             if least is not None and not (least > 0 if item.strict else least >= 0):
                 yield Checked(item.name, "defined and finite", None, False, "its equations need it", "undecided")
 
 
 def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> Text:
-    """In what sense a matrix stays invertible; empty where that follows, or is a condition of its own."""
+    """Text of the invertibility of a matrix; empty if it follows, or is a separate condition."""
     A = ca.SX(inverted.matrix)
     if not symbols_in([A]) & model.moving:
         return Text()
@@ -111,12 +113,12 @@ def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> Text:
             continue
         if symbol.shape[0] == A.shape[0] and _equal(A, symbol @ symbol.T):
             if _declared_full_rank(claim.diagram, model.name, port.name):
-                return Text()  # said of the matrix itself
+                return Text()  # assumed for the matrix itself
             return Text(name_of(port.name), " keeps full row rank along the motion, uniformly")
         if symbol.shape == A.shape and _equal(A, symbol):
             given = claim.loop.joined([claim.diagram.resolver.expand(model.name, symbol)])[0]
             if is_mass_matrix_of_bodies(claim, given):
-                return Text()  # bodies that V keeps bodies
+                return Text()  # V keeps these parameters physically consistent
             return Text(name_of(port.name), " stays positive definite, uniformly")
     resolver = claim.diagram.resolver
     (given,) = claim.loop.joined([resolver.expand(model.name, A)])
@@ -139,12 +141,12 @@ def _declared_full_rank(diagram: Diagram, block: str, port: str) -> bool:
 
 
 def _open(closure: Closure) -> Iterator[Assumption]:
-    """What V does not weigh, nor anything that follows from it, and what the loop still feels."""
+    """States that neither V nor another argument bounds, if the rates of the loop depend on them."""
     left = [Text(Label(variable.label)) for variable in closure.open_states()] or [sentence("the time {t}")]
-    if closure.turning():
+    if closure.isolated():
         return
-    text = "a solution exists for all time: {V} does not weigh all of {names}, and the rates of {felt} depend on them"
-    felt = listed_text([Label(v.label) for v in closure.felt()])
+    text = "a solution exists for all time: {V} does not contain all of {names}, and the rates of {felt} depend on them"
+    felt = listed_text([Label(v.label) for v in closure.affected()])
     yield Assumption(sentence(text, names=listed_text(left), felt=felt), "not shown")
 
 
@@ -156,9 +158,9 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
         name = Label(f"{block}.{port}")
         if resolver.steps(block, port):
             if Wire(block, port) not in claim.diagram.sources.values():
-                continue  # no block reads it
+                continue  # unused
             text = "{name} is bounded, and " + BETWEEN.removeprefix("is ") + _stepping(claim, block, port)
-            yield Assumption(sentence(text, name=name), sentence("{V} holds it"))
+            yield Assumption(sentence(text, name=name), sentence("{V} contains it"))
             continue
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
             yield Assumption(Text(name, " is constant"), "it does not read the time")
@@ -169,7 +171,7 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
 
 
 def _stepping(claim: Claim, block: str, port: str) -> str:
-    """Whose part of V jumps at a step: states go on as they are, so that no part can that does not hold the signal."""
+    """The part of V that jumps at a step: states are continuous, so that only parts that contain the signal jump."""
     leaf = symbols_in([claim.diagram.resolver.trajectory(block, port, 0).symbol])
     holding = [part.block for part in claim.parts if symbols_in([part.storage]) & leaf]
     jumps = f"what {listed(holding)} store{'s' * (len(holding) == 1)}, and nothing else" if holding else "nothing"
@@ -184,7 +186,7 @@ def _measured(diagram: Diagram) -> Iterator[Assumption]:
             port = next(p for p in diagram.models[source.block].block.outputs if p.name == source.port)
             if port.access is Access.MEASURED:
                 found[f"{source.block}.{source.port}"] = None
-    for leaf in diagram.loop.sampled_signals:  # what a derived rate needs is wired to nothing
+    for leaf in diagram.loop.sampled_signals:  # signals of derived rates have no wire
         if leaf.side is Side.PLANT:
             found[leaf.name] = None
     if found:

@@ -1,4 +1,4 @@
-"""Names for the terms of a claim, printed from the expressions themselves; an author's own are not read."""
+"""Names for the terms of a claim, printed from the expressions; names given by an author are not used."""
 
 from __future__ import annotations
 
@@ -21,37 +21,38 @@ _DEEP: Final = 1000
 
 
 def labelled(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> dict[str, Certificate]:
-    """Certificates whose terms bear their names, one name for one vector: two that print alike are
-    distinguished by their block, and within a block by a number, so that a name identifies a vector.
+    """Certificates with names for their terms, one name for each vector.
+
+    Different vectors with the same printed text are distinguished by their block and, within a block, by a number.
     """
-    alike = _alike(stated, laws)
-    return {name: _named(name, certificate, laws[name], alike) for name, certificate in stated.items()}
+    same_text = _same_text(stated, laws)
+    return {name: _named(name, certificate, laws[name], same_text) for name, certificate in stated.items()}
 
 
 @final
 @dataclass
-class _Alike:
-    """One of the different vectors that print as one text, and the blocks that write it."""
+class _SameText:
+    """One of the different vectors with the same printed text, and the blocks that use it."""
 
     vector: SX
     blocks: set[str]
 
 
-def _alike(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> Mapping[str, Sequence[_Alike]]:
+def _same_text(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> Mapping[str, Sequence[_SameText]]:
     """The different vectors of each text."""
-    found = defaultdict[str, list[_Alike]](list)
+    found = defaultdict[str, list[_SameText]](list)
     for name, certificate in stated.items():
         for text, vector in _written(certificate, laws[name]):
             known = next((item for item in found[text] if not _differ(item.vector, vector)), None)
             if known is None:
-                found[text].append(_Alike(vector, {name}))
+                found[text].append(_SameText(vector, {name}))
             else:
                 known.blocks.add(name)
     return found
 
 
 def _written(certificate: Certificate, law: PrintedLaw) -> Iterator[tuple[str, SX]]:
-    """Each vector of a certificate, with how it prints."""
+    """Each vector of a certificate, with its printed text."""
     for role in ROLES:
         for term, line in zip(getattr(certificate, role), getattr(law, role), strict=True):
             yield line.vector.text, _vector(term)
@@ -62,17 +63,19 @@ def _written(certificate: Certificate, law: PrintedLaw) -> Iterator[tuple[str, S
 
 
 def _vector(term: Any) -> SX:
-    """What the name of a term names."""
+    """Vector to which the name of a term refers."""
     if isinstance(term, Lemma):
         return ca.SX(term.first) - ca.SX(term.second)
     return ca.SX(term.other if isinstance(term, Clipped) else term.vector)
 
 
-def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[str, Sequence[_Alike]]) -> Certificate:
+def _named(
+    name: str, certificate: Certificate, law: PrintedLaw, same_text: Mapping[str, Sequence[_SameText]]
+) -> Certificate:
     def full(formula: Formula, vector: SX) -> Text:
-        if len(alike[formula.text]) == 1:
+        if len(same_text[formula.text]) == 1:
             return Text(formula)
-        own = [item for item in alike[formula.text] if name in item.blocks]
+        own = [item for item in same_text[formula.text] if name in item.blocks]
         place = next(k for k, item in enumerate(own, 1) if not _differ(item.vector, vector))
         return Text(formula if len(own) == 1 else _numbered(formula, place), f" ({name})")
 
@@ -108,7 +111,7 @@ def _with(term: Any, line: PrintedTerm, full: Callable[[Formula, SX], Text]) -> 
 
 
 def _differ(one: SX, other: SX) -> bool:
-    """True for what differs, in shape or somewhere; what cannot be compared counts as different."""
+    """True if two expressions differ in shape or value; if they cannot be compared, they count as different."""
     if one.shape != other.shape:
         return True
     if ca.is_equal(one, other, _DEEP):

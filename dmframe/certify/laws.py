@@ -1,9 +1,9 @@
-"""Whether the printed laws and the docstrings of a graph's blocks say what the code computes.
+"""Comparison of the printed laws and docstrings of a graph's blocks with their code.
 
-Each block's printed equations are compared with those that run, its printed certificate with the one that is proved,
-and every displayed equation of its docstring with its code: exactly where that is possible, else at points of all sizes
-on both sides of each switch. That costs as much as a proof, and belongs to a block rather than to a claim: a misprinted
-law does not change what is proved. For the names of a claim's terms a few points suffice.
+Each block's printed equations are compared with those that run, its printed certificate with the proved one, and every
+displayed equation of its docstring with its code: exactly if possible, otherwise at points of all magnitudes on both
+sides of each switch. This takes as long as a proof, and concerns a block rather than a claim: a misprinted law does not
+change the proof. For the names of a claim's terms a few points are sufficient.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def check_laws(diagram: Diagram) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Equations of docstrings that cannot be read, and so are not compared, each with file and line.
+        Equations of docstrings that cannot be read and are therefore not compared, each with file and line.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def check_laws(diagram: Diagram) -> tuple[str, ...]:
 
     Notes
     -----
-    The certificates are compared with what is proved only for a claim in continuous time that every block states.
+    The certificates are compared with the proved ones only for a continuous-time claim that every block states.
     """
     blocks = read_blocks(diagram)
     notices = check_docstrings(blocks)
@@ -48,20 +48,20 @@ def check_laws(diagram: Diagram) -> tuple[str, ...]:
     except NotApplicableError:
         return tuple(notices)
     for name, certificate in found.stated.items():
-        blocks[name].hold(certificate, view(diagram, name, found.truths), diagram.loop)
+        blocks[name].compare_certificate(certificate, view(diagram, name, found.truths), diagram.loop)
     return tuple(notices)
 
 
 def printed_laws(diagram: Diagram, stated: Mapping[str, Certificate], truths: Stated) -> dict[str, PrintedLaw]:
-    """Each block's law as it prints.
+    """Each block's printed law.
 
-    Raises `NotApplicableError` where the printed law or certificate has other terms or values than what runs and what
-    is proved, at `dmframe.formula.points.NEAR` points.
+    Raises `NotApplicableError` if a printed law or certificate has other terms or values than the one that runs or is
+    proved, at `dmframe.formula.points.NEAR` points.
     """
     try:
         blocks = read_blocks(diagram, near=True)
         for name, certificate in stated.items():
-            blocks[name].hold(certificate, view(diagram, name, truths), diagram.loop, near=True)
+            blocks[name].compare_certificate(certificate, view(diagram, name, truths), diagram.loop, near=True)
         return {name: block.law() for name, block in blocks.items()}
     except DmframeError as error:
         raise NotApplicableError(error.text) from None

@@ -1,13 +1,13 @@
-r"""From what vanishes to what the loop is for: errors that go to zero because a vanishing signal is made of them.
+r"""Convergence of errors to zero, derived from vanishing signals of which the errors are linear combinations.
 
-Let every :math:`z_k \to 0`. A vector w goes to zero if it is, identically and element by element,
+Let every :math:`z_k \to 0`. A vector w converges to zero if, identically and element by element,
 
 .. math:: w = \sum_k c_k z_k \quad\text{or}\quad R^\top w = \sum_k c_k z_k
 
-with constants :math:`c_k`, and R of full row rank, uniformly: then :math:`|R^\top w|^2 \ge c |w|^2`. With such an R,
-:math:`(R R^\top)^{-1} R z_k` goes to zero too, which :math:`R^\top` takes to :math:`z_k` or next to it, and so does
-what is made of its parts. The constants are not guessed: they are solved for at random points of a prime field, more
-points than there are constants, with the parameters at the graph's own numbers.
+with constants :math:`c_k`, and R of uniformly full row rank: then :math:`|R^\top w|^2 \ge c |w|^2`. With such an R,
+:math:`(R R^\top)^{-1} R z_k`, the least-squares solution of :math:`R^\top w = z_k`, converges to zero too, and so do
+combinations of its parts. The constants are computed at random points of a prime field, more points than there are
+constants, with the parameters at the graph's own numbers.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from dmframe.exact.linear import rank
 from dmframe.exact.trial import Trial, ZeroDivision
 
 MORE = 3
-"""Points beyond the number of constants, each a further test."""
+"""Number of points beyond the number of constants; each is a further test."""
 
 
 @final
 @dataclass(frozen=True)
 class Vanishing:
-    """A vector that goes to zero; `proved` if its derivative is known to be bounded, which that step needs.
+    """A vector that converges to zero; `proved` if its derivative is known to be bounded, which that step requires.
 
-    `assumes`: without these assumptions the derivative is not known to be bounded.
+    `assumes`: assumptions without which the derivative is not known to be bounded.
     """
 
     of: Text
@@ -50,7 +50,7 @@ class Vanishing:
 @final
 @dataclass(frozen=True)
 class Goal:
-    """An error that should go to zero; `width`, of one that a potential holds, whose forces know it as soft_clip."""
+    """An error that should converge to zero; `width` for one in a potential, whose forces contain its soft_clip."""
 
     of: Text
     vector: SX
@@ -60,14 +60,14 @@ class Goal:
 @final
 @dataclass(frozen=True)
 class Made:
-    """The step by which an error goes to zero, and what it assumes."""
+    """The step by which an error converges to zero, and its assumptions."""
 
     step: Text
     assumes: tuple[Text, ...] = ()
 
 
 def goals(claim: Claim, closure: Closure) -> list[Goal]:
-    """The errors in V, those that certificates name, and those that a stable linear subsystem drives."""
+    """Errors in V, errors named by certificates, and errors driven by a stable linear subsystem."""
     found = {
         term.of: Goal(term.of, term.vector, term.width if isinstance(term, Potential) else None)
         for part in claim.parts
@@ -81,7 +81,7 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
 
 
 def combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
-    """Why a goal goes to zero, if it does: it itself, or its soft_clip, which is zero where it is and nowhere else."""
+    """Reason why a goal converges to zero, or None: for itself, or for its soft_clip, which has the same zeros."""
     made = _combined(field, closure, goal, vanishing)
     if made is None and goal.width is not None:
         forces = Goal(
@@ -128,7 +128,7 @@ def _combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequ
 
 
 def assumed(names: Iterable[Text], vanishing: Sequence[Vanishing]) -> tuple[Text, ...]:
-    """What is assumed of those of these names."""
+    """Assumptions of the vanishing vectors with these names."""
     used = set(names)
     return tuple(dict.fromkeys(text for item in vanishing if item.of in used for text in item.assumes))
 
@@ -138,7 +138,7 @@ def _keeps_rank(name: Text) -> Text:
 
 
 def _parts(item: Vanishing, R: SX, size: int) -> Iterator[Vanishing]:
-    """The parts, of a length, of the vectors that R' takes to what vanishes, or next to it."""
+    """Parts, of a given length, of the least-squares solutions of R' w = z for vanishing z."""
     width = R.shape[1]
     for first in range(0, item.vector.numel() - width + 1, width):
         whole = solve_spd(R @ R.T, R @ item.vector[first : first + width])
@@ -146,7 +146,7 @@ def _parts(item: Vanishing, R: SX, size: int) -> Iterator[Vanishing]:
 
 
 def full_rank(claim: Claim) -> Iterator[tuple[Text, SX]]:
-    """The matrices whose rows are declared independent, by their names; of one name in two blocks, with the block."""
+    """Matrices whose rows are declared independent, by name; a name in two blocks is printed with the block."""
     diagram = claim.diagram
     given = [name for model in diagram.models.values() for name in model.equations.outputs]
     for name, model in diagram.models.items():
@@ -158,12 +158,12 @@ def full_rank(claim: Claim) -> Iterator[tuple[Text, SX]]:
 
 @final
 class Combinations:
-    """Constant coefficients, solved for at random points of a prime field with the graph's own parameters.
+    """Constant coefficients, computed at random points of a prime field with the graph's own parameters.
 
     Parameters
     ----------
     uncertain
-        Labels of parameters in intervals, which are free.
+        Labels of parameters with intervals, which are free.
     """
 
     def __init__(self, claim: Claim, prime: int, seed: int, uncertain: frozenset[str] = frozenset()) -> None:
@@ -173,7 +173,7 @@ class Combinations:
         self._known = dict[Any, tuple[SX, Symbols, Tape, list[list[int] | None]]]()
 
     def can_have(self, R: SX) -> bool:
-        """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
+        """True for a matrix whose rows are independent at a random point, and therefore almost everywhere."""
         points, (rows, width) = self._sampled([R], 1), R.shape
         if points is None:
             return False
@@ -181,7 +181,7 @@ class Combinations:
         return bool(rank(columns, self._trial.prime) == rows)
 
     def made_of(self, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
-        """The names of those of which the target is a combination with constant coefficients, element by element."""
+        """Names of the vectors of which the target is a combination with constant coefficients, element by element."""
         size = target.numel()
         whole = [item for item in vanishing if item.vector.numel() % size == 0]
         names = [item.of for item in whole for _ in range(item.vector.numel() // size)]
@@ -191,13 +191,13 @@ class Combinations:
         points = self._sampled([target, *(item.vector for item in whole)], len(names) + 1 + MORE)
         if points is None or not self._spans(points, size, chosen):
             return None
-        for k in range(len(names) - 1, -1, -1):  # the fewest that still do
+        for k in range(len(names) - 1, -1, -1):  # a minimal set
             if self._spans(points, size, [other for other in chosen if other != k]):
                 chosen.remove(k)
         return list(dict.fromkeys(names[k] for k in chosen))
 
     def _spans(self, points: Sequence[Sequence[int]], size: int, chosen: Sequence[int]) -> bool:
-        """At every element: is the first column a combination of the chosen ones, over all sampled points?"""
+        """Whether, for every element, the target is a combination of the chosen vectors, over all sampled points."""
         for element in range(size):
             columns = [[point[size * (1 + k) + element] for point in points] for k in chosen]
             target, prime = [point[element] for point in points], self._trial.prime
@@ -206,7 +206,7 @@ class Combinations:
         return True
 
     def _sampled(self, expressions: Sequence[SX], count: int) -> list[list[int]] | None:
-        """All elements at random points that share their parameters; None if a denominator vanishes at most points."""
+        """All elements at random points with common parameters; None if a denominator vanishes at most points."""
         found = list[list[int]]()
         for k in range(4 * count):
             columns = [self._value(x, k) for x in expressions]
@@ -217,10 +217,10 @@ class Combinations:
         return None
 
     def _value(self, x: SX, k: int) -> list[int] | None:
-        """All elements at the k-th point, which is the same for all expressions; None if a denominator vanishes."""
+        """All elements at the k-th point, common to all expressions; None if a denominator vanishes."""
         key = nodes(x)
-        if key not in self._known:  # with the expression, which keeps its identity
-            symbols = symbols_of(self.claim, self._uncertain)  # with the trajectories' present derivatives
+        if key not in self._known:  # the stored expression keeps the identities of its nodes unique
+            symbols = symbols_of(self.claim, self._uncertain)  # includes the present derivatives of trajectories
             self._known[key] = x, symbols, Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x))])), []
         _, symbols, tape, values = self._known[key]
         for place in range(len(values), k + 1):

@@ -1,4 +1,4 @@
-"""Stable linear subsystems of certificates: whether their matrices are stable, at numbers and as a margin."""
+"""Stability of the matrices of linear subsystems in certificates, at numbers and as a margin."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from dmframe.prove.stability import is_stable_matrix
 
 
 def is_stable(subsystem: StableLinear, numbers: Numbers) -> bool | None:
-    r"""Is :math:`\dot z = A z` stable for each joint, at the graph's numbers, or while A's states move in their boxes?
+    r"""Stability of :math:`\dot z = A z` for each joint, at numbers or for all states in their boxes.
 
-    None where A holds something else, so that nothing decides it.
+    None if A contains other signals, so that its stability is not decided.
     """
     A = [[_values(rate, numbers) for rate in row] for row in subsystem.rates]
     if any(entry is None for row in A for entry in row):
@@ -30,7 +30,7 @@ def is_stable(subsystem: StableLinear, numbers: Numbers) -> bool | None:
 
 
 def stability_margin(subsystem: StableLinear) -> SX:
-    """Above zero where A, made of parameters alone, is stable."""
+    """An expression that is positive if A, made of parameters only, is stable."""
     if len(subsystem.rates) == 1:
         return -ca.SX(subsystem.rates[0][0])
     (a, b), (c, d) = [[ca.SX(rate) for rate in row] for row in subsystem.rates]
@@ -38,7 +38,7 @@ def stability_margin(subsystem: StableLinear) -> SX:
 
 
 def _values(rate: SX, numbers: Numbers) -> list[Number] | None:
-    """The values of an entry; of a state with a box, all that the box holds. None where it holds anything else."""
+    """Values of an entry; of a state with a box, its interval. None if it contains other signals."""
     with suppress(ValueFault, ZeroDivisionError):
         for projection in numbers.claim.loop.projections:
             if isinstance(projection.set, Box) and symbols_in([rate]) & symbols_in([projection.state]):

@@ -1,4 +1,4 @@
-"""Where gathered matrices start: below zero, they stay so for a while, and their form is no storage."""
+"""Initial values of information matrices: their forms are storage functions only if these are positive semidefinite."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part
-from dmframe.certify.starts import ZERO, begun_at, start_of
+from dmframe.certify.starts import ZERO, margin_from_start, start_of
 from dmframe.common.text import Text, name_of, sentence, square_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import Interval, evaluate
@@ -24,10 +24,10 @@ POSITIVE = sentence("{V} is positive")
 
 
 def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> list[Checked]:
-    """For each gathered matrix whose start is a number of the graph: whether that is positive semidefinite.
+    """Condition that each information matrix with a numeric initial value starts positive semidefinite.
 
-    A start that is zero is left out here; one that is no function of parameters alone is left to the assumption that
-    the claim carries. `given` is the graph's key `start`.
+    A zero initial value is left out. For one that depends on more than parameters, the claim contains an assumption.
+    `given` is the graph's key `start`.
     """
     found = dict[Text, Checked]()
     for part in claim.parts:
@@ -35,30 +35,30 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
             if isinstance(term, InformationSquare):
                 start = matrix_start(claim, numbers, given, term.memory)
                 if start is not None and any(value != ZERO for row in start for value in row):
-                    name = gathered_from_start(part, term)
-                    text, holds = "G(0) is symmetric and positive semidefinite", _gathers(start)
+                    name = memory_start_name(part, term)
+                    text, holds = "G(0) is symmetric and positive semidefinite", _is_valid_start(start)
                     how, reads = "exact" if holds is not None else "undecided", reads_of(numbers, given, term.memory)
                     found[name] = Checked(name, text, None, holds is True, POSITIVE, how, reads=reads)
     return list(found.values())
 
 
-def gathered_from_start(part: Part, term: InformationSquare) -> Text:
+def memory_start_name(part: Part, term: InformationSquare) -> Text:
     """Name of the condition on the start of an information matrix."""
-    text = "{block}: start of what {G} gathers for {square} >= 0"
+    text = "{block}: initial value of {G} for {square} >= 0"
     return sentence(text, block=part.block, square=square_of(term.of, "G"))
 
 
-def _gathers(start: Sequence[Sequence[Number]]) -> bool | None:
-    """Symmetric and positive semidefinite; None where intervals leave that open."""
+def _is_valid_start(start: Sequence[Sequence[Number]]) -> bool | None:
+    """Symmetric and positive semidefinite; None if intervals leave it undecided."""
     if any(isinstance(value, Interval) for row in start for value in row):
-        return None  # an interval of each element holds matrices that are not symmetric
+        return None  # elementwise intervals contain matrices that are not symmetric
     rows = [[Interval.of(value).lower for value in row] for row in start]
     return is_semidefinite(rows) and rows == [list(column) for column in zip(*rows, strict=True)]
 
 
 def reads_of(numbers: Numbers, given: Mapping[str, Any], states: SX) -> SX:
-    """All starts and parameters on which the start of these states depends."""
-    begun = begun_at(ca.vec(ca.densify(states)), numbers, given, zero=True)
+    """All initial values and parameters on which the initial value of these states depends."""
+    begun = margin_from_start(ca.vec(ca.densify(states)), numbers, given, zero=True)
     found = [*begun.symbols.values(), *(starts for starts in begun.starts.values() if starts is not None)]
     return ca.vertcat(ca.SX(0, 1), *ca.symvar(stack(found)))
 
@@ -66,7 +66,7 @@ def reads_of(numbers: Numbers, given: Mapping[str, Any], states: SX) -> SX:
 def triangle_starts(
     block: str, steps: LeastSquaresSteps, numbers: Numbers, given: Mapping[str, Any]
 ) -> Iterator[Checked]:
-    """Whether the matrices that steps of least squares gather start positive semidefinite; a start of zero is."""
+    """Condition that the matrices of least-squares steps start positive semidefinite; zero satisfies it."""
     start = start_of(f"{block}.{steps.memory}", numbers, given)
     known = [value for value in start if isinstance(value, Fraction)]
     if len(known) == len(start) and not any(known):
@@ -90,7 +90,7 @@ def triangle_starts(
 
 
 def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> list[list[Number]] | None:
-    """Where a matrix of states starts; None where that is no number."""
+    """Initial value of a matrix of states; None if it is not numeric."""
     used, leaves, values = symbols_in([matrix]), list[SX](), list[Number]()
     for variable in claim.loop.variables:
         if not used & variable.identities:
@@ -111,6 +111,6 @@ def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matri
 
 
 def pivots_at_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> Begun:
-    """The pivots of a matrix of states where it starts."""
+    """Pivots of a matrix of states at its initial value."""
     (matrix,) = claim.loop.joined([matrix])
-    return begun_at(ca.vertcat(*ldl(matrix)[1]), numbers, given, zero=True)
+    return margin_from_start(ca.vertcat(*ldl(matrix)[1]), numbers, given, zero=True)

@@ -1,8 +1,8 @@
-"""The plant moved by random smooth commands, sampled, and what a block's rows leave unexplained of it.
+"""Motions of the plant for random smooth commands, and the part of a block's rows that they leave unexplained.
 
-Equations, starts and wires are those of the graph: the plant flows with each command held, and the sampled states that
-the rows need go from sample to sample where their blocks say. Only the commands are replaced (`DrivenLoop`); rounding
-is taken away, and nothing is drawn.
+Equations, initial values and wires are those of the graph: the plant is integrated with each command held constant, and
+the sampled states that the rows depend on are updated as their blocks state. Only the commands are replaced
+(`DrivenLoop`); rounding is removed, and random inputs are zero.
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ from dmframe.simulate.start import start_state
 from dmframe.simulate.stiffness import fastest
 
 ROUNDED: Final = 1e-12
-"""The step of a quantiser whose rounding is taken away."""
+"""Step of a quantiser whose rounding is removed."""
 
-AMPLITUDE: Final = 0.25
-"""The largest command of a motion, in its own unit."""
+AMPLITUDE: Final = 1.0
+"""Largest command of a motion, in its own unit: kinetic terms then exceed the error of the means."""
 
 SINUSOIDS: Final = 3
 RATES: Final = (1.0, 6.0)
-"""Of how many sinusoids a command is the sum, and between which rates they lie [rad/s]."""
+"""Number of sinusoids in a command, and the range of their rates [rad/s]."""
 
 POSE: Final = 1.2
-"""The largest angle or length from which a motion starts, within the joint's limits."""
+"""Largest initial angle or length of a motion, within the joint's limits."""
 
 SPREAD: Final = 1.25
-"""By up to this factor parameters are off the graph's; those of the controller are not above them."""
+"""Largest factor between varied parameters and the graph's; those of the controller are not increased."""
 
 SPAN: Final = 1.5
-"""The integrator's longest step, times the plant's fastest rate at the start."""
+"""Longest step of the integrator times the plant's fastest rate at the start."""
 
 
-ALIKE: Final = 20
+DEEP: Final = 20
 """Depth to which two expressions are compared."""
 
 
 class UnmovedError(DmframeError):
-    """The plant cannot be moved this way."""
+    """No motion of the plant can be computed by this method."""
 
 
-class Lesson(NamedTuple):
-    """A row of an estimator's steps, h and y of all outputs; `stored`, as a delay line takes it up."""
+class EstimatorRow(NamedTuple):
+    """A row of an estimator's steps, h and y of all outputs; `stored` if it is the one that a delay line stores."""
 
     h: SX
     y: SX
@@ -70,7 +70,7 @@ class Lesson(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What rows leave at the samples of one motion, eta = left + slope @ unknown constants, and what they are made of.
+    """Unexplained part of rows at the samples of one motion, eta = left + slope @ unknown constants, and its terms.
 
     `left`, `y` and `predicted`, y and h' theta_true: (samples, outputs); `slope`: (samples, outputs, constants).
     """
@@ -84,7 +84,7 @@ class Left(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Motion:
-    """Parameters, where the states start that nothing else says, and amplitudes and rates of the commands."""
+    """Parameters, initial values of states without a stated one, and amplitudes and rates of the commands."""
 
     p: Mapping[str, np.ndarray]
     pose: Mapping[str, np.ndarray]
@@ -96,13 +96,13 @@ class Motion:
         return np.asarray(np.sum(self.amplitudes[:, :, None] * np.sin(self.rates[:, :, None] * t), axis=1))
 
 
-def lessons(claim: Claim, part: Part, item: Steps) -> tuple[Lesson, ...]:
-    """The different rows of steps, each once; of a row that a delay line stores, the one that it stores."""
+def estimator_rows(claim: Claim, part: Part, item: Steps) -> tuple[EstimatorRow, ...]:
+    """The distinct rows of steps; of a row that a delay line stores, the one that it stores."""
     stored = dict[int, tuple[int, SX, DelayLine]]()
     for line in part.certificate.delay_lines:
         symbol = claim.sample.symbols[f"{part.block}.{line.state}"]
         stored |= {x.element_hash(): (k, new, line) for x, k, new in _entries(line, symbol)}
-    found = dict[tuple[int, ...], Lesson]()
+    found = dict[tuple[int, ...], EstimatorRow]()
     for h, y in item.rows:
         h, y = (ca.vec(ca.densify(ca.SX(side))) for side in (h, y))
         row = ca.vertsplit(ca.vertcat(h, y))
@@ -114,12 +114,12 @@ def lessons(claim: Claim, part: Part, item: Steps) -> tuple[Lesson, ...]:
             row = [one[1] for one in known if one is not None]
         column = ca.vertcat(*row)
         key = tuple(x.element_hash() for x in row)
-        found.setdefault(key, Lesson(column[: h.numel()], column[h.numel() :], of_line))
+        found.setdefault(key, EstimatorRow(column[: h.numel()], column[h.numel() :], of_line))
     return tuple(found.values())
 
 
 def _entries(line: DelayLine, symbol: SX) -> Iterator[tuple[SX, int, SX]]:
-    """Each element of a delay line's state, with the number of its entry and the element of the newest one."""
+    """Each element of a delay line's state, with the index of its entry and the element of the newest one."""
     rows, columns = line.newest.shape
     newest, down = ca.densify(ca.SX(line.newest)), columns == symbol.shape[1]
     for i in range(symbol.shape[0]):
@@ -129,20 +129,20 @@ def _entries(line: DelayLine, symbol: SX) -> Iterator[tuple[SX, int, SX]]:
 
 
 def _same_time(one: DelayLine, other: DelayLine) -> bool:
-    """True where two delay lines take up entries at the same samples."""
-    return one is other or bool(ca.is_equal(ca.SX(one.when), ca.SX(other.when), ALIKE))
+    """True if two delay lines store entries at the same samples."""
+    return one is other or bool(ca.is_equal(ca.SX(one.when), ca.SX(other.when), DEEP))
 
 
 @final
 class Moved:
-    """A block's rows along motions of the plant; raises `UnmovedError` where the plant cannot be moved this way.
+    """A block's rows along motions of the plant; raises `UnmovedError` if no motion can be computed.
 
     Attributes
     ----------
-    lessons
-        The different rows.
+    estimator_rows
+        The distinct rows.
     reads
-        The parameters, a column, of rows and plant that no motion varies, as they are zero.
+        Positions in `ClosedLoop.p` of the parameters of rows and plant that no motion varies since they are zero.
     """
 
     def __init__(self, claim: Claim, part: Part, item: Steps) -> None:
@@ -152,8 +152,8 @@ class Moved:
             raise UnmovedError("what is measured holds a command of the same instant")
         if not driven.commands.numel():
             raise UnmovedError("the plant takes no command")
-        self.lessons = lessons(claim, part, item)
-        rows = _rows(part, item, self.lessons)
+        self.estimator_rows = estimator_rows(claim, part, item)
+        rows = _rows(part, item, self.estimator_rows)
         flow, (held, _) = loop.flow, loop.held_over_a_sample
         after = driven.becomes([*rows, flow, held])
         self._needed = [variable for variable in loop.stepped if variable.label in after]
@@ -168,11 +168,12 @@ class Moved:
         self._plant = {p.label for p in loop.parameters if ca.depends_on(flow, p.symbol)}
         read = symbols_in([becomes, *rows, flow])
         self._read = {p.label for p in loop.parameters if read & symbols_in([p.symbol]) and not self._rounds(p)}
-        still = (x for p in loop.parameters if p.label in self._read for x in _zeros(p))
-        self.reads = stack(x for x in still if x.element_hash() in read)
+        still = {x.element_hash() for p in loop.parameters if p.label in self._read for x in _zeros(p)} & read
+        self.reads = tuple(k for k, x in enumerate(ca.vertsplit(loop.p)) if x.element_hash() in still)
 
     def _function(self, name: str, seen: Sequence[SX], made: Sequence[SX]) -> Any:
-        still, drawn = self._loop.standing(0.0), self._loop.drawn  # a source that steps does so between two motions
+        # a piecewise constant source steps between two motions only
+        still, drawn = self._loop.standing(0.0), self._loop.drawn
         made = [still.on_path(item) for item in made]
         if drawn.numel():
             made = ca.substitute(made, [drawn], [ca.SX.zeros(drawn.numel())])
@@ -182,7 +183,7 @@ class Moved:
         return function
 
     def motion(self, rng: np.random.Generator) -> Motion:
-        """A random one."""
+        """A random motion."""
         numbers = {p.label: self._number(p, rng) for p in self._loop.parameters}
         size = (self._commands, SINUSOIDS)
         amplitudes = AMPLITUDE / SINUSOIDS * rng.uniform(0.5, 1, size) * rng.choice([-1, 1], size)
@@ -190,10 +191,10 @@ class Moved:
         return Motion(numbers, pose, amplitudes, rng.uniform(*RATES, size))
 
     def _number(self, parameter: Parameter, rng: np.random.Generator) -> np.ndarray:
-        """The graph's, times a random factor; of a quantiser next to nothing."""
+        """The graph's number times a random factor; the step of a quantiser is almost zero."""
         if self._rounds(parameter):
             return np.full_like(parameter.value, ROUNDED)
-        most = 1.0 if parameter.label in self._plant else 0.0  # a pole of the controller stays inside the unit circle
+        most = 1.0 if parameter.label in self._plant else 0.0  # keeps poles of the controller inside the unit circle
         factor = float(SPREAD ** rng.uniform(-1.0, most))
         return factor * parameter.value if parameter.label in self._read else parameter.value
 
@@ -212,7 +213,7 @@ class Moved:
         return np.asarray(rng.uniform(np.minimum(lower, upper), upper))
 
     def left(self, motion: Motion, T: float, duration: float) -> Left:
-        """Of the samples of one motion, from its start."""
+        """Unexplained part at the samples of one motion, from its start."""
         x, z, p = self._start(motion, T)
         count, substeps = round(duration / T), math.ceil(T / self._step(motion, x, z, p, T))
         t = T * np.arange(count)
@@ -234,7 +235,7 @@ class Moved:
         return x, z, diagram.loop.p_values
 
     def _step(self, motion: Motion, x: np.ndarray, z: np.ndarray, p: np.ndarray, T: float) -> float:
-        """The integrator's, by the plant's Jacobian at the start, from differences."""
+        """Step of the integrator, from the plant's Jacobian at the start by finite differences."""
         held = self._sample(x, z, motion.commands(np.zeros(1)), 0, T, p)[1]
         moved = z[:, None] + 1e-6 * np.eye(z.size)
         rates = self._flow(np.column_stack([moved, z]), held, 0, p).full() if z.size else np.zeros((0, 1))
@@ -244,7 +245,7 @@ class Moved:
         return min(T, SPAN / max(speed, 1e-9))
 
     def _ticks(self, T: float, substeps: int) -> Callable[..., list[np.ndarray]]:
-        """(x and z, commands, instants, p) -> what the rows leave, its slope, y, h' theta_true: a row each sample."""
+        """(x and z, commands, instants, p) -> unexplained part, its slope, y, h' theta_true: a row for each sample."""
         sizes = self._x.numel(), self._z.numel(), self._commands, 1, self._loop.p.numel()
         x, z, c, t, p = (ca.MX.sym(name, size) for name, size in zip("xzctp", sizes, strict=True))
         becomes, held, *rows = self._sample(x, z, c, t, T, p)
@@ -268,7 +269,7 @@ class Moved:
 
 
 def _repeated(one: Any, state: np.ndarray, commands: np.ndarray, times: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-    """The outputs of a step of a state but the next state, a row each step; a `mapaccum` takes longer to build."""
+    """Outputs of repeated steps without the next state, a row for each step; a `mapaccum` takes longer to build."""
     buffer, evaluate = one.buffer()
     now, command, time, given = state.copy(), np.zeros(len(commands)), np.zeros(1), np.array(p, dtype=float)
     then = [np.zeros(one.nnz_out(place)) for place in range(one.n_out())]
@@ -287,15 +288,15 @@ def _repeated(one: Any, state: np.ndarray, commands: np.ndarray, times: np.ndarr
 
 
 def _zeros(parameter: Parameter) -> Iterator[SX]:
-    """The elements of a parameter that are zero, which no factor varies."""
+    """Elements of a parameter that are zero, which no factor varies."""
     elements = ca.vertsplit(ca.vec(ca.densify(ca.SX(parameter.symbol))))
     for element, number in zip(elements, parameter.value.ravel(order="F"), strict=True):
         if not number:
             yield element
 
 
-def _rows(part: Part, item: Steps, rows: Sequence[Lesson]) -> list[SX]:
-    """What all rows leave where the unknown constants are zero, its slope in them, y and h' theta_true."""
+def _rows(part: Part, item: Steps, rows: Sequence[EstimatorRow]) -> list[SX]:
+    """Unexplained part of all rows for zero unknown constants, its slope in them, y and h' theta_true."""
     true, unknown = ca.vec(ca.densify(ca.SX(item.true))), stack(part.certificate.unknown.values())
     predicted = ca.vertcat(*(summed(item.parts, row.h * true) for row in rows))
     y = ca.vertcat(*(row.y for row in rows))
@@ -311,7 +312,7 @@ def _rows(part: Part, item: Steps, rows: Sequence[Lesson]) -> list[SX]:
 
 
 def _stated_starts(diagram: Diagram) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Where blocks say that their states start, stated once: a run holds them to stating it alike."""
+    """Initial values stated by blocks, evaluated once: a run requires equal results."""
     for name in diagram.blocks:
         seen = view(diagram, name)
         with fault_context(name, "start()"):
@@ -319,7 +320,7 @@ def _stated_starts(diagram: Diagram) -> Iterator[tuple[tuple[str, ...], Any]]:
 
 
 def _posed(diagram: Diagram, part: Part, made: dict[tuple[str, ...], Any]) -> Iterator[Variable]:
-    """The plant's positions that nothing says where they start: they may start anywhere."""
+    """Positions of the plant without a stated initial value; they may start anywhere."""
     positions = symbols_in(ca.SX(item.position) for item in part.certificate.acted)
     for variable in diagram.loop.flowing:
         if not has_start(diagram, variable, made) and (

@@ -1,4 +1,4 @@
-"""How expressions move along directions of the state space, at two random points of a prime field."""
+"""Changes of expressions along directions of the state space, at two random points of a prime field."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Movement:
     Parameters
     ----------
     anywhere
-        Parameters have random values; else the graph's own, but for those in intervals.
+        If true, parameters have random values; otherwise the graph's own, except for those in intervals.
     zeros
         Labels of parameters that are zero.
     """
@@ -44,7 +44,7 @@ class Movement:
         self._extend()
 
     def _extend(self) -> None:
-        """Values for symbols that have none yet; a derivative may have brought a trajectory's next one."""
+        """Draw values for new symbols; a derivative may have added a trajectory's next one."""
         first, second = self._points
         own = exact_values(self._claim.diagram)
         for group in self._symbols.groups:
@@ -60,13 +60,13 @@ class Movement:
                 second[group.label] = first[group.label] if shared else [self.shift.random() for _ in range(size)]
 
     def _varies(self, group: Group) -> bool:
-        """True for a parameter without a fixed number: one in an interval; the robot's rotations are orthogonal."""
+        """True for a parameter without a fixed number, such as one with an interval; rotations stay orthogonal."""
         if group.label in self._numbers.uncertain:
             return True
         return self._free and group.values is None
 
     def _moved(self, groups: Sequence[Group], point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
-        """A point with its states and its time moved along u."""
+        """A point with its states and its time shifted along u."""
         steps = {"t": u[-1:]} | {v.label: u[rows] for v, rows in rows_of(self._claim.loop.variables)}
         return [
             [(a + b) % self.shift.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
@@ -76,7 +76,7 @@ class Movement:
         ]
 
     def _found(self, expressions: Sequence[SX]) -> list[tuple[int, int]]:
-        """The tape and the output of each expression; what no tape has is read, together, into a new one."""
+        """Tape and output of each expression; new expressions are compiled, together, into a new tape."""
         keys = list(map(nodes, expressions))
         new = {key: item for key, item in zip(keys, expressions, strict=True) if key not in self._places}
         if new:
@@ -84,26 +84,26 @@ class Movement:
             if known < len(self._claim.diagram.resolver.trajectories):
                 self._symbols = symbols_of(self._claim, self._numbers.uncertain)
                 self._extend()
-            self.read += new.values()  # which keeps the nodes, by whose identity they are found
+            self.read += new.values()  # keeps the nodes, so that their identities stay unique
             self._places |= {key: (len(self.tapes), output) for output, key in enumerate(new)}
             tape = Tape.from_function(self._symbols.function("closure", list(new.values())))
             self.tapes.append((self._symbols.groups, tape))
         return [self._places[key] for key in keys]
 
     def values(self, expressions: Sequence[SX], place: int) -> list[int]:
-        """The elements of columns at one of the two points."""
+        """Elements of columns at one of the two points."""
         (found,) = self._evaluated(expressions, place, lambda tape, at: [self.shift.values(tape, at)])
         return found
 
     def along(self, expressions: Sequence[SX], direction: Sequence[int]) -> list[list[int]]:
-        """By how much each element of columns moves along a direction, at the first point."""
+        """Change of each element of columns along a direction, at the first point."""
         (flat,) = self.differences(expressions, 0, [direction])
         return [flat[part] for part in slices(expression.numel() for expression in expressions)]
 
     def differences(
         self, expressions: Sequence[SX], place: int, directions: Sequence[Sequence[int]]
     ) -> list[list[int]]:
-        """By how much each element of columns moves along each direction, at one of the two points."""
+        """Changes of each element of columns along each direction, at one of the two points."""
         for _ in range(ATTEMPTS):
             try:
                 return self._evaluated(expressions, place, self.shift.difference, directions)
@@ -118,7 +118,7 @@ class Movement:
         evaluate: Callable[..., list[list[int]]],
         directions: Sequence[Sequence[int]] | None = None,
     ) -> list[list[int]]:
-        """Rows of all elements, of what is evaluated tape by tape: at a point, or there and moved along directions."""
+        """Rows of all elements, evaluated tape by tape at a point, or at the point and shifted along directions."""
         point, places = self._points[place], self._found(expressions)
         rows = dict[int, list[list[int]]]()
         for number in dict.fromkeys(number for number, _ in places):

@@ -24,7 +24,7 @@ from dmframe.diagram.closed_loop import stack
 
 @final
 class Flow:
-    """d/dt along the closed loop's vector field, measured and commanded signals substituted.
+    """d/dt along the closed loop's vector field, with measured and commanded signals substituted.
 
     Every derivative is entered in the record.
     """
@@ -42,18 +42,18 @@ class Flow:
         return self.unrecorded(expression)
 
     def rates_of(self, used: AbstractSet[int]) -> dict[str, SX]:
-        """The rates of the states, the time and the trajectories among these symbols, by label."""
+        """Rates of the states, the time and the trajectories among these symbols, by label."""
         return {label: ca.vec(ca.densify(rate)) for label, _, rate in self._moving(used)}
 
     def unrecorded(self, expression: SX) -> SX:
-        """The same of what the caller examines itself, or has examined as a part."""
+        """The same without an entry, for expressions that the caller examines separately."""
         moving = list(self._moving(symbols_in([expression])))
         if not moving:
             return ca.SX(0)
         return ca.jtimes(expression, stack(leaf for _, leaf, _ in moving), stack(rate for *_, rate in moving))
 
     def _moving(self, used: AbstractSet[int]) -> Iterator[tuple[str, SX, SX]]:
-        """Label, symbol and rate of what moves among these symbols; the rate of a trajectory may be a new one."""
+        """Label, symbol and rate of the varying symbols; the rate of a trajectory may be a new symbol."""
         yield from (item for item in self._own if used & symbols_in([item[1]]))
         for (block, port, order), leaf in list(self.diagram.resolver.trajectories.items()):
             if used & leaf.identities:
@@ -62,14 +62,14 @@ class Flow:
 
 @final
 class Sample:
-    """The difference over a sample of the sampled states; all others keep their symbols, which a claim may not hold."""
+    """Difference over a sample of the sampled states; all others keep their symbols, which a claim must not contain."""
 
     def __init__(self, diagram: Diagram) -> None:
         self.diagram, self.loop, self.record = diagram, diagram.loop, Record()
 
     @cached_property
     def next(self) -> Mapping[str, SX]:
-        """Each sampled state at the next sample, by label, measured and commanded signals substituted."""
+        """Each sampled state at the next sample, by label, with measured and commanded signals substituted."""
         own = self.loop.becomes()
         return dict(zip(own, self.loop.crossed(list(own.values())), strict=True))
 
@@ -79,7 +79,7 @@ class Sample:
         return {v.label: v.symbol for v in self.loop.stepped if v.sampled}
 
     def plant_rates(self, used: AbstractSet[int]) -> dict[str, SX]:
-        """The rates of these states of the plant between two samples, commands free, by label."""
+        """Rates of these states of the plant between two samples, for free commands, by label."""
         loop = self.loop
         known = [(leaf.symbol, leaf.expression) for leaf in loop.measured]
         moving = [variable for variable in loop.flowing if used & variable.identities]

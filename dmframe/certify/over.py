@@ -1,7 +1,7 @@
-"""Conditions over intervals: distinguishes what holds nowhere from what is undecided because intervals are too wide.
+"""Conditions over intervals: separates conditions that fail from those left undecided by wide intervals.
 
-Interval arithmetic forgets that two operands are one number, so that a condition may hold at each point of a box and
-not be decided for the whole of it. It costs nothing where a graph has no intervals.
+Interval arithmetic ignores that two operands are the same number, so a condition may be met at each point of a box and
+undecided for the box. Without intervals this module does nothing.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from dmframe.exact.rational import as_float
 from dmframe.prove.definite import lower, upper
 
 POINTS: Final = 64
-"""Points of the box at which a condition is looked at that is not decided over all of it."""
+"""Number of points of the box at which an undecided condition is evaluated."""
 NEEDED: Final = "over the intervals"
 
 
 def over_intervals(conditions: Sequence[Checked], claim: Claim, numbers: Numbers) -> list[Checked]:
-    """The conditions as they stand over the intervals, with what was decided at the graph's own numbers alone."""
+    """The conditions over the intervals, including those decided at the graph's own numbers only."""
     if not numbers.open:
         return list(conditions)
     known = {item.name for item in conditions}
@@ -39,7 +39,7 @@ def over_intervals(conditions: Sequence[Checked], claim: Claim, numbers: Numbers
 
 
 def failing_of(conditions: Sequence[Checked]) -> Text:
-    """Why conditions keep a claim from being proved; empty where all hold."""
+    """Reason why conditions prevent a proof; empty if all are met."""
     failing = [item for item in conditions if not item.holds]
     open_ = [item for item in failing if NEEDED in item.expression]
     names = joined([item.name for item in failing], "; ")
@@ -64,7 +64,7 @@ def _settled(item: Checked, numbers: Numbers) -> Checked:
 
 
 def _fails(margin: SX, strict: bool, numbers: Numbers) -> bool:
-    """The margin is not what it should be at some point of the box; what cannot be evaluated counts as failing."""
+    """True if the margin fails at some point of the box; a margin that cannot be evaluated counts as failing."""
     claim, rng = numbers.claim, np.random.default_rng(0)
     (joined,) = claim.loop.joined([ca.vec(ca.densify(margin))])
     columns = [*(ca.vec(p.symbol) for p in claim.loop.parameters), *(claim.starts[label] for label in numbers.starts)]
@@ -74,7 +74,7 @@ def _fails(margin: SX, strict: bool, numbers: Numbers) -> bool:
     values = [*(numbers.values[p.label] for p in claim.loop.parameters), *numbers.starts.values()]
     low, high = ([np.array([as_float(end(x)) for x in one]) for one in values] for end in (lower, upper))
     for k in range(POINTS):
-        # the corners first, so that what is monotonous is found where it is least
+        # corners first: a monotonic margin is least at a corner
         parts = [rng.integers(0, 2, one.size) if k < POINTS // 2 else rng.uniform(size=one.size) for one in low]
         parts = [np.full(one.size, k) for one in low] if k < 2 else parts
         point = [a + (b - a) * part for a, b, part in zip(low, high, parts, strict=True)]
@@ -85,7 +85,7 @@ def _fails(margin: SX, strict: bool, numbers: Numbers) -> bool:
 
 
 def _undecided(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """What `verify` looks at in silence, and decides at the graph's own numbers."""
+    """Conditions without a line in the verdict that are decided at the graph's own numbers only."""
     for item in at_one_point(claim, numbers):
         margin = item.margin
         if item.begun is not None and set(item.begun.symbols) & numbers.starts.keys():

@@ -1,8 +1,8 @@
 """Re-evaluates the conditions of a claim at other parameter values, as symbolic margins.
 
-They include the checks without a line of their own (`dmframe.certify.tacit`). Each has a margin, or the
-complete list of parameters and starts on which it depends, beyond which nothing is known of it. Where numbers of a
-graph are known up to intervals, a margin is the least over these.
+They include the checks without a line of their own (`dmframe.certify.tacit`). Each has a margin, or the complete list
+of parameters and initial values on which it depends; if one of these changes, its result is unknown. For numbers of a
+graph with intervals, a margin is the least over these.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ Intervals = Mapping[str, Sequence[Interval]]
 @final
 @dataclass(frozen=True)
 class ParameterMargin:
-    """One thing that numbers decide, at any numbers and any starts.
+    """A condition that numbers decide, for any numbers and any initial values.
 
-    Judge it like this. With a `margin`: evaluate that; it holds where the least element is above zero, or, where
-    ``checked.strict`` is false, not below it. Where it does not hold it fails, or, with `opens`, it is not known.
-    Without one: it stays what it was decided to be (``checked.holds``) while all in `reads` keep the graph's values,
-    and is not known as soon as one of them moves. `reads` None means that everything may decide it.
+    Evaluation with a `margin`: the condition is met if the least element is positive, or nonnegative if
+    ``checked.strict`` is false. Otherwise it fails or, with `opens`, is unknown. Without a margin: its result is
+    ``checked.holds`` as long as all in `reads` have the graph's values, and unknown otherwise. If `reads` is None, it
+    may depend on everything.
 
     Parameters
     ----------
-    margin
-        In the loop's parameters, and in the symbols `Claim.starts` of the states whose starts move; None where the
+    Expression in the loop's parameters, and in the symbols `Claim.starts` of states whose initial values vary; None
+        if it was decided for the graph's own numbers only.
         graph's own numbers are all that it was decided for.
-    reads
+    Without a margin: the parameters, and the symbols of varied initial values, on which it depends.
         The parameters, and the symbols of moved starts, on which it depends, where there is no margin.
-    tacit
+    True if it is not among the verdict's conditions, which list it only if it fails.
         It is not among the verdict's conditions, which name it only where it fails.
-    opens
+    If it fails, `verify` would check another condition or use another method, so that nothing is decided.
         Where it fails, `verify` would ask something else, or look in another way, so that nothing is decided.
     """
 
@@ -67,15 +67,15 @@ class ParameterMargin:
 def parameter_margins(
     conditions: Sequence[Checked], claim: Claim | None, uncertain: Intervals, starts: Container[str] = ()
 ) -> list[ParameterMargin]:
-    """The conditions of a verdict, in their order, and then what is tacit.
+    """The conditions of a verdict, in their order, followed by the checks without a line.
 
     Parameters
     ----------
     uncertain
-        The intervals that `verify` had.
+        Intervals used by `verify`.
     starts
-        Labels, ``block.state``, of the states whose starts move: as in a graph whose key `start` gives these. Margins
-        are in their symbols, ``claim.starts[label]``. All other starts stay those of the graph.
+        Labels, ``block.state``, of states whose initial values vary, as with a graph's key `start`. Margins contain
+            their symbols, ``claim.starts[label]``. All other initial values are those of the graph.
     """
     if claim is None:
         return []
@@ -85,16 +85,16 @@ def parameter_margins(
 
 
 def least_kappa(claim: Claim, uncertain: Intervals) -> SX:
-    """`Kappa.least` as an expression in the claim's parameters, where every dominating weight is above zero.
+    """`Kappa.least` as an expression in the claim's parameters, if every dominating weight is positive.
 
-    Raises `ValueFault` where numbers known up to intervals enter by more than field operations.
+    Raises `ValueFault` if numbers with intervals enter by more than field operations.
     """
     (needs,) = claim.loop.joined([kappa_needs(claim)])
     return ca.mmax(_ends(needs, _inside(claim, uncertain)).upper)
 
 
-def claims_alike(claim: Claim, changed: Diagram, name: str) -> bool:
-    """True where a block states the same in a diagram with other numbers: it reads none of them as a number."""
+def same_claims(claim: Claim, changed: Diagram, name: str) -> bool:
+    """True if a block states the same in a diagram with other numbers, so that it uses none of them as a number."""
     constants = dict[str, SX]()
     one, other = (
         stated_claims(remade(diagram.blocks[name]), view(claim.diagram, name, claim.truths), constants)
@@ -104,7 +104,7 @@ def claims_alike(claim: Claim, changed: Diagram, name: str) -> bool:
 
 
 def _inside(claim: Claim, uncertain: Intervals) -> dict[int, tuple[float, float]]:
-    """The intervals, by the identity of the symbol that they are of."""
+    """Intervals, by the identity of their symbol."""
     return {
         ca.SX(symbol).element_hash(): (as_float(interval.lower), as_float(interval.upper))
         for parameter in claim.loop.parameters
@@ -123,7 +123,7 @@ def _ends(expression: SX, inside: Mapping[int, tuple[float, float]]) -> Ends:
 def _margin(
     claim: Claim, item: Checked, inside: Mapping[int, tuple[float, float]], starts: Container[str]
 ) -> tuple[SX | None, SX | None]:
-    """A margin of parameters and moved starts; where there is none, the parameters and starts that decide."""
+    """A margin in parameters and varied initial values; without one, the parameters and initial values that decide."""
     given = symbols_in(claim.starts[label] for label in claim.starts if label in starts)
     known = claim.loop.constants
     margin = item.margin

@@ -1,4 +1,4 @@
-"""Instructions that do not give a number everywhere: divisions, and functions that are not defined everywhere."""
+"""Partial operations: divisions, and functions with a restricted domain."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
 
 
 def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
-    """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
+    """Divisions and partial functions in expressions, with the operand that their domain restricts."""
     column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
     function = ca.Function("domains_of", [], [column], {"allow_free": True, **TO_READ})
     program, signs = read(function), dict[tuple[int, int], Sign]()
@@ -41,18 +41,18 @@ def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
         domain = OPERATIONS[node.code].domain
         if domain is not None and not _is_safe(program, place, node.operands[domain], signs):
             if expressions is None:
-                expressions = function.instructions_sx()  # SX.dep takes ten times as long
+                expressions = function.instructions_sx()  # ten times as fast as SX.dep
             yield node.code, expressions[node.line].dep(domain)
         todo += node.operands
 
 
 _ABOVE: Final = (*DIVISIONS, ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P)
 _DEEP: Final = 12
-"""How far back the sign of a value is looked for."""
+"""Number of operations that are traced back to determine the sign of a value."""
 
 
 def _sign_of(program: Program, place: int, known: dict[tuple[int, int], Sign], deep: int = _DEEP) -> Sign:
-    """What is known of the sign of a program's value by its last operations."""
+    """Sign of a value of a program, derived from its last operations."""
     node = program.nodes[place]
     if node.code == CONST:
         return sign_after(CONST, (), positive=node.constant > 0)
@@ -65,8 +65,8 @@ def _sign_of(program: Program, place: int, known: dict[tuple[int, int], Sign], d
 
 
 def _is_safe(program: Program, place: int, operand: int, signs: dict[tuple[int, int], Sign]) -> bool:
-    """What divides by, or is the root or logarithm of, something that is above zero by how it is computed, such as
-    max(x, c) or x^2 + c, c > 0, and a whole power that is not negative, are defined everywhere.
+    """True for an operation that is always defined: a divisor or argument that is positive by construction, such as
+    max(x, c) or x^2 + c with c > 0, or a nonnegative integer power.
     """
     node = program.nodes[place]
     if node.code in _ABOVE and _sign_of(program, operand, signs) is Sign.ABOVE:

@@ -22,17 +22,17 @@ def residues(trial: Trial, group: Group) -> list[int]:
 
 
 def at_random_point(tape: Tape, symbols: Symbols, seed: int) -> list[list[int]]:
-    """The outputs of a function of all symbols; raises `ValueFault` where it is nowhere defined."""
+    """Outputs of a function of all symbols; raises `ValueFault` if it is undefined everywhere."""
     return in_random_field(tape.name, seed, lambda trial: outputs_at(tape, symbols, trial))
 
 
 def outputs_at(tape: Tape, symbols: Symbols, trial: Trial) -> list[list[int]]:
-    """The outputs of a function of all symbols at a random point of one field; raises `ZeroDivision`."""
+    """Outputs of a function of all symbols at a random point of one field; raises `ZeroDivision`."""
     return tape.evaluate([residues(trial, group) for group in symbols.groups], trial)
 
 
 def in_random_field(name: str, seed: int, found: Callable[[Trial], T]) -> T:
-    """What is found in the first random field in which no denominator vanishes; raises `ValueFault` after some."""
+    """Result in the first random field in which no denominator vanishes; raises `ValueFault` after several fields."""
     rng = random.Random(seed + 3)
     for _ in range(ATTEMPTS):
         try:

@@ -1,4 +1,4 @@
-"""Which terms have a constant positive weight, at the graph's numbers or over its intervals."""
+"""Terms with a constant positive weight, at the graph's numbers or over its intervals."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_mass_matrix, is_matrix, least_body_pivot
 
 Positive = Square | Potential | LogDet
-"""A term that is above zero wherever its vector is not what it should be, and as large as one likes far from there."""
+"""Terms that are positive definite and radially unbounded in the error of their vector."""
 
 
 @final
 class Signs:
-    """Answers once for each term; what cannot be decided is not positive."""
+    """Decides the sign of each term once; an undecided term counts as not positive."""
 
     def __init__(self, claim: Claim, numbers: Numbers) -> None:
         self._claim, self._numbers = claim, numbers
         self._known = dict[int, bool]()
-        self._kept = list[object]()  # so that no identity is used twice
+        self._kept = list[object]()  # keeps the terms alive, so that their identities stay unique
 
     def positive(self, term: Positive) -> bool:
         """True for a positive constant, and for the robot's mass matrix."""
@@ -31,11 +31,11 @@ class Signs:
         return self._known[id(term)]
 
     def may_grow(self, term: Square) -> bool:
-        """True for a weight that is positive by assumption, of which nothing says that it stays bounded."""
+        """True for a weight that is assumed positive and may be unbounded."""
         return is_assumed(term, self._numbers)
 
     def dissipates(self, term: Lemma) -> bool:
-        """True for a lemma each element of which has a positive weight."""
+        """True for a lemma term whose elements all have positive weights."""
         return self._numbers.above(term.weight)
 
     def _decide(self, term: Positive) -> bool:

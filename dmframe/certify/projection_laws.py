@@ -1,19 +1,19 @@
 r"""Checks the law of each projection against the projection lemma at random points, until every branch has occurred.
 
 The `law` and `held` of a set are expressions that a run evaluates; in a proof the correction is a free symbol.
-So the proof has to know that the law is one that the lemma speaks of:
+Therefore the law must satisfy the assumptions of the lemma:
 
-- whatever the true value in the set is, the correction c does not raise V: the greatest
-  :math:`(\theta - \theta_{true})^\top W c` is not above zero. It is linear in the true value, so that its greatest
-  value over a box stands at the ends, and over an ellipsoid has a closed form; over a cone it is bounded where c is in
-  the cone's polar, and then stands at its tip: no true value need be tried;
-- on the set's end and beyond, the nominal rate plus c does not lead out;
-- `held` leaves what is in the set where it is, and otherwise is the set's nearest point, in the metric of its own half
-  axes, or of its nominal bodies.
+- For every true value in the set, the correction c does not increase V: the maximum of
+  :math:`(\theta - \theta_{true})^\top W c` is not positive. It is linear in the true value. Its maximum over a box is
+  at the bounds, and over an ellipsoid it has a closed form; over a cone it is bounded if c is in the polar cone, and
+  then attained at the apex. No true value has to be sampled.
+- On the boundary of the set and outside, the nominal rate plus c does not point outward.
+- `held` does not change a point of the set, and otherwise returns the nearest point of the set, in the metric of its
+  semi-axes or of its nominal bodies.
 
-The points stand on each face, inside and outside, with nominal rates of either sign and zero. They must have seen every
-comparison in the expressions go both ways: a branch that no point reaches fails the condition. For a box there is no
-rounding in all this; for a ball and for bodies a rounding error is allowed for.
+The points are on each face, inside and outside, with nominal rates of either sign and zero. Every comparison in the
+expressions must have occurred with both results: a branch that no point reaches fails the condition. For a box the
+evaluation is exact; for a ball and for bodies a rounding error is allowed.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
 
 POINTS = 48
-"""Random points, besides those with equal elements."""
+"""Number of random points, in addition to those with equal elements."""
 ROUNDING = 1e-9
-"""What rounding may leave for a ball or for bodies, in proportion to the terms."""
+"""Allowed rounding error for a ball or for bodies, relative to the terms."""
 BEYOND = 1e-9
-"""How far outside its rim a point on a ball or among bodies stands, in radii or in nominal bodies: rounding must not
-put it inside.
+"""Distance of points outside the boundary of a ball or of a set of bodies, in radii or in nominal bodies: rounding
+must not move them inside.
 """
 
 Ends = Sequence[np.ndarray]
-"""Of a box: lower and upper ends. Of a ball: centre, half axes, and the gain: a matrix, or its diagonal. Of bodies: the
-nominal ones, and their share.
+"""Parameters of a set. Box: lower and upper bounds. Ball: centre, semi-axes, and the gain, a matrix or its diagonal.
+Bodies: the nominal ones, and their fraction.
 """
 Point = tuple[np.ndarray, np.ndarray]
-"""Where the estimate is, and its nominal rate."""
+"""Estimate, and its nominal rate."""
 
 
 def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
-    """That the law that a run takes obeys the projection lemma, with this graph's set."""
+    """Condition that the law of a run satisfies the projection lemma, for this graph's set."""
     text = "(estimate - true value)' W (correction) <= 0 in every branch, and no rate leads out"
     size = projection.state.numel()
     state, nominal = ca.SX.sym("state", size), ca.SX.sym("nominal", size)
@@ -69,7 +69,7 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
     function = ca.Function("law", [state, nominal, loop.p], [ca.densify(item) for item in outputs])
 
     def at(points: Sequence[Point]) -> list[list[np.ndarray]]:
-        """All outputs at each point, by one call: a call takes longer than the evaluation."""
+        """All outputs at each point, by a single call, since a call takes longer than the evaluation."""
         states, rates = (np.column_stack(columns) for columns in zip(*points, strict=True))
         found = [value.full() for value in function(states, rates, loop.p_values)]
         width = [value.shape[1] // len(points) for value in found]
@@ -81,26 +81,26 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
     found = at([(np.zeros(size), np.zeros(size))])[0][3:]
     points, margin = next(found for kind, found in _BY_KIND.items() if isinstance(kept, kind))
     margins, seen = [np.nan], [np.zeros(len(branches))]
-    with suppress(np.linalg.LinAlgError):  # of nominal bodies that are none
+    with suppress(np.linalg.LinAlgError):  # for nominal bodies that are not physically consistent
         tried = list(points(found, np.random.default_rng(0)))
         values = at(tried)
         margins = [margin(found, point, *each[:2]) for point, each in zip(tried, values, strict=True)]
         seen = [each[2] for each in values]
-    one_way = int(np.count_nonzero(~(np.any(np.array(seen) > 0, axis=0) & np.any(np.array(seen) <= 0, axis=0))))
-    if one_way:
-        text += f"; {one_way} of its {len(branches)} comparisons went one way only"
+    one_sided = int(np.count_nonzero(~(np.any(np.array(seen) > 0, axis=0) & np.any(np.array(seen) <= 0, axis=0))))
+    if one_sided:
+        text += f"; {one_sided} of its {len(branches)} comparisons went one way only"
     least = min(margins) if np.isfinite(margins).all() else None
-    holds = least is not None and least >= 0 and not one_way
-    shown = None if holds else least  # on the set's own faces it is zero, which carries no information
-    # a box's law is affine between its faces and between signs of the rate: each such case has been a point
+    holds = least is not None and least >= 0 and not one_sided
+    shown = None if holds else least  # it is zero on the faces of the set, and gives no information
+    # the law of a box is affine in each region of faces and rate signs, and each region has a point
     how = "cases" if isinstance(kept, Box) else "sampled"
     name = Text(Label(projection.name), f": law of the {projection.kind}")
-    # a set without an inside fails other conditions; of all others the law is the same, wherever their faces lie
+    # an empty set fails other conditions; otherwise the law does not depend on the location of its faces
     return Checked(name, text, shown, holds, "projection lemma", how, margin=ca.SX(0, 1))
 
 
 def _branches(expressions: Sequence[SX]) -> Iterator[SX]:
-    """What decides between branches: above zero one way, and not above it the other."""
+    """Switching functions: one branch if positive, the other if not."""
     for element, parts in instructions(expressions):
         if element.op() in COMPARISONS:
             yield element
@@ -111,7 +111,7 @@ def _branches(expressions: Sequence[SX]) -> Iterator[SX]:
 
 
 def _box_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
-    """Below, on and above each end, and between; with rates of each sign."""
+    """Points below, on and above each bound, and between them, with rates of each sign."""
     lower, upper = ends
     width = np.where(upper > lower, upper - lower, 1.0)
     size = lower.size
@@ -127,23 +127,23 @@ def _box_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
         yield placed(rng.integers(0, 5, size)), rng.integers(-1, 2, size) * rng.uniform(0.1, 2, size)
 
 
-def _box_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarray) -> float:
-    """The least value that must not be negative; element by element, so that any diagonal metric is covered."""
+def _box_margin(ends: Ends, point: Point, correction: np.ndarray, projected: np.ndarray) -> float:
+    """Least value that must be nonnegative; elementwise, so that it is valid for any diagonal metric."""
     (lower, upper), (state, rate) = ends, point
     moves = rate + correction
     needs = [
         *(-(state - end) * correction for end in ends),
         moves[state <= lower],
         -moves[state >= upper],
-        put - lower,
-        upper - put,
-        *(-(state - put) * (end - put) for end in ends),
+        projected - lower,
+        upper - projected,
+        *(-(state - projected) * (end - projected) for end in ends),
     ]
     return _least(needs)
 
 
 def _ball_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
-    """At the centre, inside, on the rim and outside, with rates that lead in, out and along."""
+    """Points at the centre, inside, on the boundary and outside, with inward, outward and tangential rates."""
     center, radius, _ = ends
     size = center.size
     yield center, rng.normal(size=size)
@@ -155,10 +155,10 @@ def _ball_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
         yield center + radius * away, rates[rng.integers(0, len(rates))]
 
 
-def _ball_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarray) -> float:
-    """The least value that must not be negative, with what rounding may take of it; in units of the half axes."""
+def _ball_margin(ends: Ends, point: Point, correction: np.ndarray, projected: np.ndarray) -> float:
+    """Least value that must be nonnegative, with an allowance for rounding, in units of the semi-axes."""
     (center, radius, gain), (state, rate) = ends, point
-    at, kept = (state - center) / radius, (put - center) / radius
+    at, kept = (state - center) / radius, (projected - center) / radius
     small = ROUNDING + 1e-15 * float(np.max(np.abs(center / radius)))
     n = correction.size
     slope = radius * (np.linalg.solve(gain.reshape(n, n), correction) if gain.size > n else correction / gain)
@@ -177,9 +177,9 @@ def _ball_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarr
 
 
 def _body_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
-    """Links inside, on the rim and beyond, with one to four eigenvalues there, and rates that lead in, out and along.
+    """Links inside, on the boundary and outside, for one to four eigenvalues, with rates in all directions.
 
-    The rest of the estimates stands anywhere.
+    The other estimates are arbitrary.
     """
     nominal, size = ends[0], ends[1].size
     roots = _roots(nominal)
@@ -209,21 +209,21 @@ def _body_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
         )
 
 
-def _body_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarray) -> float:
-    """The least value that must not be negative, in units of the nominal bodies."""
+def _body_margin(ends: Ends, point: Point, correction: np.ndarray, projected: np.ndarray) -> float:
+    """Least value that must be nonnegative, in units of the nominal bodies."""
     nominal, share = ends[0], float(ends[1][0])
     state, rate = point
-    if not np.isfinite([*correction, *put]).all():
+    if not np.isfinite([*correction, *projected]).all():
         return np.nan
-    needs = [-np.abs(correction[nominal.size :]), -np.abs((put - state)[nominal.size :])]
+    needs = [-np.abs(correction[nominal.size :]), -np.abs((projected - state)[nominal.size :])]
     for k, root in enumerate(_roots(nominal)):
         own = slice(k * len(INERTIAL), (k + 1) * len(INERTIAL))
-        C, D, Z, H = (_seen(row[own], root) for row in (correction, rate, state, put))
+        C, D, Z, H = (_transformed(row[own], root) for row in (correction, rate, state, projected))
         Z, H = Z - share * np.eye(4), H - share * np.eye(4)
         small = ROUNDING * (1 + float(np.linalg.norm(Z))) * (1 + float(np.linalg.norm(D)))
         values, V = np.linalg.eigh(Z)
         rim, away = V[:, values <= RIM], Z - H
-        needs.append(small + np.linalg.eigvalsh(C))  # or some body in the set could be as far away as one likes
+        needs.append(small + np.linalg.eigvalsh(C))  # otherwise the product would be unbounded over the set
         needs.append(np.atleast_1d(small - np.sum((Z - RIM * np.eye(4)) * C)))
         needs.append(small + np.linalg.eigvalsh(rim.T @ (D + C) @ rim) if rim.size else np.zeros(1))
         needs += [small + np.linalg.eigvalsh(H), small - np.linalg.eigvalsh(away), np.array([small + np.sum(away * H)])]
@@ -235,19 +235,19 @@ def _roots(nominal: np.ndarray) -> list[np.ndarray]:
     return [np.linalg.cholesky(np.array(pseudo_inertia(row.tolist()), dtype=float)) for row in rows]
 
 
-def _seen(row: np.ndarray, root: np.ndarray) -> np.ndarray:
+def _transformed(row: np.ndarray, root: np.ndarray) -> np.ndarray:
     half = np.linalg.solve(root, np.array(pseudo_inertia(row.tolist()), dtype=float))
     whole = np.linalg.solve(root, half.T)
     return np.asarray((whole + whole.T) / 2)
 
 
 def _greatest(at: np.ndarray, slope: np.ndarray) -> float:
-    """The greatest (at - t)' slope, t in the unit ball."""
+    """Maximum of (at - t)' slope for t in the unit ball."""
     return float(at @ slope + np.linalg.norm(slope))
 
 
 def _least(needs: Sequence[np.ndarray]) -> float:
-    """The least of all; NaN where one is no number."""
+    """The least of all values; NaN if one is NaN."""
     return float(np.min(np.concatenate([np.ravel(item) for item in needs])))
 
 
@@ -256,4 +256,4 @@ _BY_KIND: Final[dict[type, tuple[Callable[..., Iterator[Point]], Callable[..., f
     Ball: (_ball_points, _ball_margin),
     Bodies: (_body_points, _body_margin),
 }
-"""Where a set's law is tried, and what it must not fall below."""
+"""Test points and margin for each kind of set."""

@@ -1,12 +1,12 @@
-r"""What the projection lemma needs of a projected estimate, decided at the graph's numbers.
+r"""Conditions of the projection lemma for a projected estimate, decided at the graph's numbers.
 
 The lemma: with :math:`S = \tfrac12 |\theta - \theta_{true}|_W^2` a projection's correction c adds
 :math:`(\theta - \theta_{true})^\top W c \le 0`. It holds if
 
-1. the true value lies in the set, and does not move;
+1. the true value is in the set and constant;
 2. the estimate starts in the set;
 3. c is normal to the set in the metric W;
-4. c has that sign in every branch of its law, and with it no rate leads out of the set.
+4. c has that sign in every branch of its law, and with it no rate points out of the set.
 
 The first three are decided in rational numbers, the fourth in `dmframe.certify.projection_laws`.
 """
@@ -29,7 +29,7 @@ from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.sampler import over_horizon
-from dmframe.certify.starts import ZERO, begun_at, start_expression, start_of
+from dmframe.certify.starts import ZERO, margin_from_start, start_expression, start_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import Label, Text, sentence
@@ -41,7 +41,7 @@ from dmframe.prove.definite import Number, lower
 from dmframe.simulate.start import ROUNDING
 
 ROUNDED = ROUNDING
-"""What rounding may take of the room that a source leaves."""
+"""Allowed rounding error of a true value from a source."""
 LEMMA = "projection lemma"
 SOURCE = "Remark 2"
 INSIDE = {
@@ -54,11 +54,11 @@ INSIDE = {
 def projection_conditions(
     claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
 ) -> tuple[list[Checked], list[Assumption]]:
-    """Everything that the projection lemma needs, for each projected state; and what is left to assume.
+    """All conditions of the projection lemma, for each projected state, and the remaining assumptions.
 
-    A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume; that it
-    does not move is not. `start` holds a graph's start values, by the state's name or ``block.state``, which go before
-    what the blocks say.
+    If the plant's initial state determines a true value, such as the torque of a servo's integrator, its membership in
+    the set is assumed; that it is constant is checked. `start` contains a graph's initial values, by the state's name
+    or ``block.state``; they have precedence over those of the blocks.
     """
     return sorted_out(_needed(claim, numbers, start or {}))
 
@@ -78,13 +78,13 @@ def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterato
 
 
 def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
-    """What the projected state estimates; None where V does not hold it."""
+    """True value of the projected state; None if V does not contain the state."""
     found = (part.certificate.estimates for part in claim.parts if part.block == projection.block)
     return next(found, {}).get(projection.of)
 
 
 def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Finding]:
-    """That the true value lies in the set, decided or assumed."""
+    """The true value is in the set, decided or assumed."""
     text = Text(Label(projection.name), f": true value inside the {projection.kind}")
     room = projection.set.room(truth)
     known, rest = _decidable(room, numbers)
@@ -92,23 +92,23 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Fin
         shown = INSIDE[projection.kind].format("true value")
         yield numbers.decide(text, shown, SOURCE, known, strict=False)
     loop, handed = numbers.claim.loop, _handed(room, rest, numbers)
-    for rows, says in (([row for row in rest if row not in handed], "where the plant starts"), (handed, "a source")):
+    for rows, origin in (([row for row in rest if row not in handed], "where the plant starts"), (handed, "a source")):
         if rows:
             at = sorted({row % truth.shape[0] for row in rows})
-            yield Assumption(Text(text, f"{_at(projection, at)}: {says} decides it"), SOURCE)
+            yield Assumption(Text(text, f"{_at(projection, at)}: {origin} decides it"), SOURCE)
     if handed:
         yield from outside(text, ca.vertcat(*handed.values()), loop)
 
 
 def _handed(room: SX, rows: Sequence[int], numbers: Numbers) -> dict[int, SX]:
-    """The rows that a source decides, as functions of time and parameters."""
+    """Rows that a source determines, as functions of time and parameters."""
     loop = numbers.claim.loop
     known = symbols_in([loop.time, loop.p])
     return {row: path for row in rows if symbols_in([path := loop.on_path(room[row])]) <= known}
 
 
 def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[Text, SX]]:
-    """Of each projection whose true value a source gives: its name, and the room as a function of time."""
+    """Each projection whose true value a source determines: its name, and the distance to the boundary over time."""
     for projection in claim.loop.projections:
         estimate = _estimated(claim, projection)
         if estimate is not None:
@@ -120,17 +120,17 @@ def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[Text, SX]]:
 
 
 def outside(text: Text, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
-    """A condition that fails where a source's output, such as a load, is outside the set or NaN."""
+    """A failing condition if a source's output, such as a load, is outside the set or NaN."""
     times, values = over_horizon(loop, room)
     found = np.min(values, axis=0)
     least = int(np.argmin(found))
     if not found[least] >= -ROUNDING:
         where = Text(text, f" at t = {times[least]:.6g} s")
-        yield Checked(where, "as a source has it then", float(found[least]), False, SOURCE, "sampled", strict=False)
+        yield Checked(where, "for the values of a source", float(found[least]), False, SOURCE, "sampled", strict=False)
 
 
 def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
-    """The rows that depend on parameters alone, and the positions of the others."""
+    """Rows that depend on parameters only, and the indices of the others."""
     known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
     return room[known], [row for row in range(room.shape[0]) if row not in known]
 
@@ -142,7 +142,7 @@ def _at(projection: Projection, rows: Sequence[int]) -> str:
 
 
 def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
-    """A true value that is more than a number does not move along the closed loop, whatever the trajectories do."""
+    """Condition that a true value that is not numeric is constant along the closed loop, for all trajectories."""
     claim = numbers.claim
     (truth,) = claim.loop.joined([truth])
     if symbols_in([truth]) <= numbers.known:
@@ -167,7 +167,7 @@ def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
 
 
 def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Finding]:
-    """That the estimate starts in the set, decided or assumed. A run that does not is refused."""
+    """The estimate starts in the set, decided or assumed; a run that does not is rejected."""
     text = Text(Label(projection.name), f": starts inside the {projection.kind}")
     shown = INSIDE[projection.kind].format("start")
     start = start_of(projection.name, numbers, given)
@@ -180,21 +180,21 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
         margin = None if begin is None else _decidable(_room_at(projection, begin), numbers)[0]
         rows = {row % len(start) for row in known} if projection.kind == "box" else {0}
         if margin is not None and margin.numel() < len(rows):
-            margin = None  # where it starts depends on more than parameters, though its number does not
+            margin = None  # the initial value depends on more than parameters, although its number does not
         least = partial(_least_room, projection, numbers, start)
         found = numbers.decide(text, shown, SOURCE, ca.SX(), strict=False, least=least)
-        yield replace(found, margin=margin, begun=begun_in(projection, numbers, given))
+        yield replace(found, margin=margin, begun=margin_at_start(projection, numbers, given))
     if unknown:
         yield Assumption(Text(text, f"{_at(projection, unknown)}: where the plant starts decides it"), SOURCE)
 
 
-def begun_in(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Begun:
-    """The room that the start of a projected state leaves."""
-    return begun_at(_room_at(projection, projection.state), numbers, given, (projection.name,), zero=True)
+def margin_at_start(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Begun:
+    """Margin of the initial value of a projected state inside its set."""
+    return margin_from_start(_room_at(projection, projection.state), numbers, given, (projection.name,), zero=True)
 
 
 def _room_at(projection: Projection, start: SX) -> SX:
-    """The room of a start, which a run puts onto the rim where it misses that by rounding; of a box by elements."""
+    """Margin of an initial value; a run projects values outside by rounding errors. For a box, by elements."""
     room = ca.substitute(projection.set.room(projection.state), projection.state, start)
     sizes = 1 + ca.fabs(start)
     own = ca.vertcat(sizes, sizes) if projection.kind == "box" else ca.mmax(sizes)
@@ -202,7 +202,7 @@ def _room_at(projection: Projection, start: SX) -> SX:
 
 
 def _least_room(projection: Projection, numbers: Numbers, start: Sequence[Number | None]) -> Fraction:
-    """The least room that a start leaves, over its known elements; zero where a run puts it on the rim."""
+    """Least margin of an initial value, over its known elements; zero if a run projects it onto the boundary."""
     n = projection.state.numel()
     parameters = numbers.claim.loop.parameters
     inputs = [*(stack([p.symbol]) for p in parameters), projection.state]
@@ -213,7 +213,7 @@ def _least_room(projection: Projection, numbers: Numbers, start: Sequence[Number
     box = projection.kind == "box"
     least = min(lower(value) for row, value in enumerate(found) if not box or start[row % n] is not None)
     if least >= 0 or any(isinstance(value, Interval) for value in (*found, *start)):
-        return least  # where the rim is at the graph's own numbers decides nothing over intervals
+        return least  # the boundary at the graph's own numbers decides nothing over intervals
     known = np.array([value is not None for value in start])
     at = np.array([0.0 if value is None else float(lower(value)) for value in start])
     put = np.ravel(held(*(p.value.ravel(order="F") for p in parameters), at).full())

@@ -1,8 +1,8 @@
-r"""Whether a desired path of the tool leaves what the tool can reach: a refutation, and never a proof of reach.
+r"""Whether a desired path leaves the reach of the tool: a refutation, never a proof of reachability.
 
-The tool is within a shell about the first joint's origin, see `dmframe.certify.shell`; and where the rows of J have a
-combination c with :math:`c^\top J(q) = 0`, as of an arm that moves in a plane, :math:`c^\top x` never changes. One
-instant at which the path is elsewhere is enough. The cost is some ms.
+The tool is within a shell about the first joint's origin, see `dmframe.certify.shell`. If the rows of J have a
+combination c with :math:`c^\top J(q) = 0`, as for an arm that moves in a plane, :math:`c^\top x` is constant. One
+instant at which the path violates this is sufficient. The cost is a few milliseconds.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from dmframe.exact.ends import enclosing
 
 POSES: Final = 12
 FLAT: Final = 1e-9
-"""Largest singular value over the largest, and distance [m], that rounding explains."""
+"""Largest relative singular value, and distance [m], that are due to rounding."""
 
 SOURCE: Final = "x goes to x_d only where the tool can be"
 
 
 def reach_conditions(claim: Claim) -> Iterator[Checked]:
-    """A condition that fails for each desired path of a tool that is out of its reach at some instant."""
+    """A failing condition for each desired path that is out of the tool's reach at some instant."""
     for text in out_of_reach(claim.diagram, HORIZON):
         yield Checked(text, "within the reach of the tool", None, False, SOURCE, reads=claim.loop.p)
 
 
 def out_of_reach(diagram: Diagram, horizon: float) -> Iterator[Text]:
-    """How each desired path of a tool leaves the tool's reach within that time [s], where it does."""
+    """Text for each desired path of a tool that leaves the tool's reach within that time [s]."""
     loop = diagram.loop
     for name, robot, path in _paths(diagram):
         times = np.linspace(0.0, horizon, SAMPLES)
@@ -53,23 +53,23 @@ def out_of_reach(diagram: Diagram, horizon: float) -> Iterator[Text]:
 
 
 def kept_within(claim: Claim) -> Iterator[tuple[Text, SX | None, SX]]:
-    """Of each path that `reach_conditions` looks at: its name, a margin in parameters, and the parameters it reads.
+    """Each path checked by `reach_conditions`: name, a margin in parameters, and the parameters that it depends on.
 
-    The margin above zero keeps the path in reach at all times looked at; below zero it decides nothing. It is None
-    where it is not above zero at the graph's own numbers, or no bounds of the path were found.
+    A positive margin keeps the path in reach at all evaluated times; a negative one decides nothing. It is None if it
+    is not positive at the graph's own numbers, or if no bounds of the path were found.
     """
     loop = claim.loop
     for name, robot, path in _paths(claim.diagram):
         known = symbols_in([loop.p])
         read = ca.vertcat(ca.SX(0, 1), *(x for x in ca.symvar(path) if x.element_hash() in known))
-        margin = _room(loop, robot, path) if not _still(robot)[0].shape[1] else None
+        margin = _room(loop, robot, path) if not _fixed_directions(robot)[0].shape[1] else None
         if margin is not None and not float(ca.Function("room", [loop.p], [margin])(loop.p_values)) > 0:
             margin = None
         yield Text(Label(name), " is within the reach of the tool"), margin, read
 
 
 def _room(loop: ClosedLoop, robot: Any, path: SX) -> SX | None:
-    """The least of two margins over a box about the path: to the farthest and to the nearest that the tool can be."""
+    """The least of two margins over a box about the path: to the outer and to the inner radius of the shell."""
     shell = shell_of(robot)
     if shell is None:
         return ca.SX(1)
@@ -86,7 +86,7 @@ def _room(loop: ClosedLoop, robot: Any, path: SX) -> SX | None:
 
 
 def _paths(diagram: Diagram) -> Iterator[tuple[str, Any, SX]]:
-    """Desired paths of a robot's tool that parameters and the time decide: label, robot, path."""
+    """Desired paths of a robot's tool that depend on parameters and time only: label, robot, path."""
     loop = diagram.loop
     for pair in loop.followed:
         robot = diagram.models[pair.actual.partition(".")[0]].robot
@@ -131,8 +131,8 @@ def _too_far(robot: Any, places: np.ndarray, times: np.ndarray) -> Iterator[str]
         )
 
 
-def _still(robot: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Directions in which no joint moves the tool at any pose, column by column; and a place of the tool."""
+def _fixed_directions(robot: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Directions in which no joint moves the tool at any pose, column by column; and a position of the tool."""
     q = ca.SX.sym("q", robot.n)
     constants = stack([constant.symbol for constant in robot.constants])
     values = np.array([float(value) for constant in robot.constants for value in constant.values])
@@ -144,7 +144,7 @@ def _still(robot: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _off_plane(robot: Any, places: np.ndarray, times: np.ndarray) -> Iterator[str]:
-    still, place = _still(robot)
+    still, place = _fixed_directions(robot)
     if not still.shape[1]:
         return
     off = np.linalg.norm(still.T @ (places - place), axis=0)

@@ -1,4 +1,4 @@
-"""How large the terms are that dV/dt may have above what is dissipated."""
+"""Bounds on the residual of dV/dt (ultimate-boundedness terms)."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from dmframe.prove.definite import upper
 @final
 @dataclass(frozen=True)
 class Bound:
-    """The most that one term of the residual can be.
+    """Bound on one term of the residual.
 
     Parameters
     ----------
     of
-        What the term is made of.
+        Signals in the term.
     term
-        The term itself.
+        The term.
     value
-        The bound at the graph's numbers, or over its intervals; None where parameters alone do not give it.
+        Bound at the graph's numbers, or over its intervals; None if parameters alone do not determine it.
     constant
-        It depends on how the motion begins, and does not change along it.
+        True if it depends on the initial state and is constant along the motion.
     times
-        What the bound has to be multiplied by: nothing, or a signal, ``|sigma|``.
+        Factor of the bound: none, or a signal, ``|sigma|``.
     weight
-        Of the block's storage in V: ``"1"`` or ``"kappa"``.
+        Weight of the block's storage in V: ``"1"`` or ``"kappa"``.
     """
 
     block: str
@@ -47,15 +47,15 @@ class Bound:
 
     @property
     def known(self) -> bool:
-        """True where there is a bound."""
+        """True if there is a bound."""
         return self.value is not None or self.constant
 
 
 def bounds_of(claim: Claim, numbers: Numbers, symbols: Symbols) -> list[Bound]:
     """Each term of the residual with its bound.
 
-    A clipped term has one only if its width is made of parameters and above zero: `clip` with a negative width, or with
-    one that moves, is not held between any two numbers that are known.
+    A clipped term has one only if its width consists of parameters and is positive: `clip` with a negative or varying
+    width has no known bounds.
     """
     return list(_bounds(claim, numbers, symbols))
 
@@ -70,7 +70,7 @@ def _bounds(claim: Claim, numbers: Numbers, symbols: Symbols) -> Iterator[Bound]
 
 
 def _width(term: Clipped, numbers: Numbers) -> tuple[float | None, bool]:
-    """The largest width, where every width is above zero."""
+    """The largest width, if every width is positive."""
     try:
         return (_most(term.width, numbers) if numbers.least(term.width) > 0 else None), False
     except (ValueFault, ZeroDivisionError):
@@ -78,20 +78,20 @@ def _width(term: Clipped, numbers: Numbers) -> tuple[float | None, bool]:
 
 
 def _size(block: str, term: Square | NormSquare, numbers: Numbers, symbols: Symbols) -> tuple[float | None, bool]:
-    """The value of the square in parameters alone; without one, whether it at least keeps its value."""
+    """Value of the square in parameters only; without one, whether it is constant."""
     expression = term.square.value if isinstance(term, NormSquare) else term.value
     try:
         return _most(expression, numbers), False
     except (ValueFault, ZeroDivisionError):
-        return None, _stands_still(numbers.claim, expression, symbols, f"{block}: the bounded residual of {term.of}")
+        return None, _is_constant(numbers.claim, expression, symbols, f"{block}: the bounded residual of {term.of}")
 
 
 def _most(expression: SX, numbers: Numbers) -> float:
     return as_float(max(upper(number) for number in numbers.of(expression)))
 
 
-def _stands_still(claim: Claim, expression: SX, symbols: Symbols, of: str) -> bool:
-    """True for what keeps its value along every motion, identically."""
+def _is_constant(claim: Claim, expression: SX, symbols: Symbols, of: str) -> bool:
+    """True for an expression that is identically constant along every motion."""
     return symbols.vanishes("rate", claim.flow.D(expression, of))
 
 
@@ -113,7 +113,7 @@ def _weight(claim: Claim, part: Part) -> str:
 
 
 def total_bound(bounds: list[Bound], kappa: float) -> float | None:
-    """The most that the whole residual can be; None where a signal multiplies a term, or a bound is not known."""
+    """Bound on the whole residual; None if a signal multiplies a term, or a bound is unknown."""
     if any(bound.times or bound.value is None for bound in bounds):
         return None
     return sum((bound.value or 0.0) * (kappa if bound.weight == "kappa" else 1.0) for bound in bounds)

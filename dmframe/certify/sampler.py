@@ -1,4 +1,4 @@
-"""The values of a function of time, at one instant after the other."""
+"""Evaluation of a function of time at many instants."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from dmframe.block.certificate import SX
 from dmframe.diagram import ClosedLoop
 
 HORIZON: Final = 100.0
-"""Time over which a function that cannot be followed exactly is looked at [s]."""
+"""Duration over which a function that cannot be followed exactly is sampled [s]."""
 
 SAMPLES: Final = 20001
-"""Instants at which it is looked at."""
+"""Number of sampling instants."""
 
 
 BLOCK: Final = 128
-"""Instants that one call evaluates: a map of 20 001 takes a second to build."""
+"""Instants evaluated per call: a map of 20 001 takes a second to build."""
 
 
 @final
 class Sampler:
-    """The elements of a dense column at any time; each call overwrites what the last one returned.
+    """Elements of a dense column at any time; each call overwrites the result of the previous one.
 
-    A buffer of CasADi takes a microsecond, where a call takes thirty. It points into these arrays, which have to live
-    as long as it does.
+    A call through a CasADi buffer takes 1 us instead of 30. The buffer points into these arrays, which must exist as
+    long as it does.
 
     Parameters
     ----------
     function
-        Of the time and of a column of parameters.
+        Function of the time and of a column of parameters.
     count
-        Number of instants that a call evaluates.
+        Number of instants evaluated per call.
     """
 
     def __init__(self, function: ca.Function, p: np.ndarray, count: int = 1) -> None:
@@ -46,23 +46,23 @@ class Sampler:
         self._buffer.set_res(0, self._values.data)
 
     def __call__(self, t: float | np.ndarray) -> np.ndarray:
-        """The elements at one time; of several, as many as the sampler counts, one after the other."""
+        """Elements at one time; for `count` instants, one after the other."""
         self._time[:] = t
         self._evaluate()
         return self._values
 
     def over(self, times: np.ndarray) -> np.ndarray:
-        """The elements at all times, a row each."""
+        """Elements at all times, a row each."""
         many = Sampler(self._function, self._given, BLOCK)
         found = np.zeros((len(times), self._function.nnz_out(0)))
         for first in range(0, len(times), BLOCK):
-            part = np.resize(times[first : first + BLOCK], BLOCK)  # the last block begins anew where it is short
+            part = np.resize(times[first : first + BLOCK], BLOCK)  # the last block is padded by repetition
             found[first : first + BLOCK] = many(part).reshape(BLOCK, -1)[: len(times) - first]
         return found.T
 
 
 def over_horizon(loop: ClosedLoop, column: SX) -> tuple[np.ndarray, np.ndarray]:
-    """The instants at which a function of time and parameters is looked at, and its elements there, a row each."""
+    """Sampling instants of a function of time and parameters, and its elements there, a row each."""
     times = np.linspace(0.0, HORIZON, SAMPLES)
     function = ca.Function("path", [loop.time, loop.p], [ca.densify(column)])
     return times, Sampler(function, loop.p_values).over(times)

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def verdict_schema() -> dict[str, Any]:
-    """The schema of what ``verify --json`` prints; a report's JSON holds such a verdict for each graph."""
+    """Schema of the output of ``verify --json``; a report's JSON contains such a verdict for each graph."""
     text = files("dmframe.certify").joinpath("verdict.schema.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema

@@ -1,15 +1,15 @@
 r"""The spherical shell about the first joint's origin that contains a chain's tool at all joint positions.
 
-With the offsets :math:`t_i` between the joints that turn, and from the last of them to the tool,
+With the offsets :math:`t_i` between the revolute joints, and from the last of them to the tool,
 
 .. math::
 
     \max(0, 2 \max_i l_i - \sum_i l_i) \le |W (x - o_1)| \le \sum_i l_i
 
-where :math:`o_1` is the origin of the first joint that turns, the rows of W are orthonormal task directions along which
-no joint slides, and :math:`l_i = |W R_i t_i|`: a number if W has three rows, or if all joints turn about one axis that
-is orthogonal to W's two rows; otherwise only an interval is known. A sliding joint has no end stops in the model that
-runs.
+where :math:`o_1` is the origin of the first revolute joint, the rows of W are orthonormal task directions along which
+no prismatic joint moves, and :math:`l_i = |W R_i t_i|`. This is a number if W has three rows, or if all joints turn
+about one axis orthogonal to W's two rows; otherwise only an interval is known. A prismatic joint has no end stops in
+the simulated model.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from typing import Any, Final, final
 import numpy as np
 
 ROUNDING: Final = 1e-9
-"""Part of the outer radius by which a shell is thickened: more than all rounding on the way to it."""
+"""Fraction of the outer radius by which a shell is enlarged; it exceeds all rounding errors."""
 PARALLEL: Final = 1e-10
-"""Sine of an angle that rounding explains."""
+"""Sine of an angle that is due to rounding."""
 
 
 @final
@@ -34,13 +34,13 @@ class Shell:
     Parameters
     ----------
     center : (m,), m
-        The origin of the first joint that turns, in task coordinates.
+        Origin of the first revolute joint, in task coordinates.
     across : (k, m)
         W: orthonormal rows.
     inner, outer : m
         The bounds.
     slides
-        True where directions of sliding joints were left out.
+        True if directions of prismatic joints were left out.
     """
 
     center: np.ndarray
@@ -51,7 +51,7 @@ class Shell:
 
 
 def shell_of(robot: Any) -> Shell | None:
-    """The shell of a robot's tool; None where no joint turns, or joints slide in all task directions."""
+    """The shell of a robot's tool; None without a revolute joint, or if prismatic joints span all task directions."""
     chain = robot.chain
     task = np.eye(3)[["xyz".index(axis) for axis in chain.axes]]
     walked = _walked(chain)
@@ -74,8 +74,8 @@ def shell_of(robot: Any) -> Shell | None:
 class _Walked:
     """A chain at q = 0, in coordinates of the base.
 
-    `offsets`: the sums of translations before the first turning joint, between each two, and behind the last. `axes`:
-    for each but the first the one axis about which it turns, or None. `slides`: directions that span all sliding.
+    `offsets`: sums of translations before the first revolute joint, between each two, and after the last. `axes`: for
+    each but the first its constant axis, or None. `slides`: directions that span all prismatic motions.
     """
 
     turns: int
@@ -85,7 +85,7 @@ class _Walked:
 
 
 def _walked(chain: Any) -> _Walked | None:
-    """None where a joint slides behind others that turn about different axes, and so in all directions."""
+    """None if a prismatic joint follows joints with different axes, and so moves in all directions."""
     turned, offsets, axes = np.eye(3), [np.zeros(3)], list[np.ndarray | None]()
     slides = list[np.ndarray]()
     for joint in chain.joints:
@@ -105,7 +105,7 @@ def _walked(chain: Any) -> _Walked | None:
 
 
 def _swept(direction: np.ndarray, axis: np.ndarray | None) -> list[np.ndarray]:
-    """Directions that span a direction as it turns about an axis."""
+    """Directions that span a direction rotated about an axis."""
     if axis is None:
         return [direction]
     along = (axis @ direction) * axis
@@ -115,7 +115,7 @@ def _swept(direction: np.ndarray, axis: np.ndarray | None) -> list[np.ndarray]:
 
 
 def _without(directions: np.ndarray) -> np.ndarray:
-    """Orthonormal rows that span what is orthogonal to all these rows."""
+    """Orthonormal basis, by rows, of the orthogonal complement of these rows."""
     if not len(directions):
         return np.eye(directions.shape[1])
     _, sizes, right = np.linalg.svd(directions)

@@ -1,4 +1,4 @@
-"""What is known of a value's sign by how it is computed."""
+"""Signs of values, derived from their operations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import casadi as ca
 
 @final
 class Sign(Enum):
-    """What is known of a value's sign."""
+    """Known sign of a value."""
 
     ANY = 0
     NOT_BELOW = 1
@@ -24,11 +24,11 @@ SIGNED = frozenset(
         ca.OP_TWICE, ca.OP_FMIN, ca.OP_SQ, ca.OP_FABS,
     }
 )  # fmt: skip
-"""Instructions of whose values something may be known; nothing is of any other's."""
+"""Instructions for which a sign may be derived; the sign of all others is unknown."""
 
 
 def sign_after(code: int, operands: Sequence[Sign], *, positive: bool = False) -> Sign:
-    """The sign of an instruction's value, from those of its operands; `positive`, of a constant."""
+    """Sign of an instruction's value, from those of its operands; `positive` is that of a constant."""
     above = [sign is Sign.ABOVE for sign in operands]
     least = min((sign.value for sign in operands), default=0)
     match code:

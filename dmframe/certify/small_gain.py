@@ -46,14 +46,14 @@ NEED = sentence(
 @final
 @dataclass(frozen=True)
 class Kappa:
-    """The weight of the servo level: the small-gain condition holds above `least`; `chosen` is twice that."""
+    """Weight of the servo level: the small-gain condition is met above `least`; `chosen` is twice that."""
 
     least: Fraction
     chosen: Fraction
 
 
 def small_gain(claim: Claim, numbers: Numbers) -> Kappa | None:
-    """The weight for which every dominating block satisfies its condition; None where one cannot."""
+    """Weight for which every dominating block satisfies its condition; None if one cannot."""
     needs = [_need(block, consumers, numbers) for block, consumers in _dominating(claim)]
     if any(block is None for _, block in claim.cross_terms) or None in needs:
         return None
@@ -93,7 +93,7 @@ def small_gain_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
 
 
 def kappa_needs(claim: Claim) -> SX:
-    """Expressions in the claim's parameters of which `Kappa.least` is the largest; zero is one of them."""
+    """Expressions in the claim's parameters whose maximum is `Kappa.least`; zero is one of them."""
     needs = [_composed(block, consumers)[0] for block, consumers in _dominating(claim) if not block.cascade]
     return ca.vertcat(ca.SX(0), *needs)
 
@@ -110,7 +110,7 @@ def _composed(block: Part, consumers: list[Part]) -> tuple[SX, SX]:
 
 
 def _missing(claim: Claim, numbers: Numbers) -> Iterator[Text]:
-    """Parts of the cross term without a weight above zero in dV/dt at the graph's numbers."""
+    """Parts of the cross term without a positive weight in dV/dt at the graph's numbers."""
     for block, _ in _dominating(claim):
         for share, term in zip(block.certificate.dominates, block.dominating, strict=True):
             with suppress(ZeroDivisionError, ValueFault):
@@ -128,7 +128,7 @@ def _dominating(claim: Claim) -> list[tuple[Part, list[Part]]]:
 
 
 def _need(block: Part, consumers: list[Part], numbers: Numbers) -> Fraction | None:
-    """The largest c sum a_j^2 / W_j over the joints; None where a weight W_j is not above zero."""
+    """The largest c sum a_j^2 / W_j over the joints; None if a weight W_j is not positive."""
     need, weights = _composed(block, consumers)
     try:
         if weights.numel() and numbers.least(weights) <= 0:

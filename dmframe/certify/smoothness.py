@@ -1,8 +1,8 @@
-"""What may be differentiated along the closed loop: moving symbols whose rates are known, and nothing that jumps.
+"""Conditions for differentiation along the closed loop: symbols with known rates, and continuous expressions.
 
-The chain rule goes along rates that every symbol must have, and it knows no jump: the derivative of sign, floor and
-comparisons is zero to it. So nothing that is differentiated may hold one, be it a storage or the position of a barrier;
-and each function of time that is differentiated is followed through its switching instants.
+The chain rule needs the rate of every symbol, and ignores jumps: the derivative of sign, floor and comparisons is zero.
+Therefore no differentiated expression, such as a storage function or the position of a barrier, may contain a jump, and
+each differentiated function of time is followed through its switching instants.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from dmframe.exact.pieces import Course, NotFollowed, follow, moving_operations
 from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, TO_READ, codes, sign_of
 
 SMOOTH_ABOVE: Final = frozenset((ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_HYPOT))
-"""Those with an edge that are smooth wherever their operands are above zero; others, such as asin, have edges there."""
+"""Functions that are smooth for positive operands; others, such as asin, have boundaries of their domain there."""
 
 SUSPECTS: Final = 200
-"""Steps between two of them, those that stand out most, that are narrowed down."""
+"""Number of largest steps between sampling instants that are examined for jumps."""
 
-HALVINGS: Final = 60
+BISECTIONS: Final = 60
 
 SCALES: Final = (Fraction(1, 1000), Fraction(1, 1000), Fraction(1), Fraction(-9, 10), Fraction(5))
-"""How far from the graph's numbers a path is followed, to see whether it is continuous by how it is written."""
+"""Distances from the graph's numbers at which a path is followed, to decide continuity by construction."""
 
 SOURCE = sentence("{dV/dt} by the chain rule")
 NEEDED = sentence("{V} or a derivative that the loop takes needs it continuous")
@@ -52,7 +52,7 @@ NEEDED = sentence("{V} or a derivative that the loop takes needs it continuous")
 @final
 @dataclass(frozen=True)
 class Smoothness:
-    """What is wrong, what is left to assume, and what was seen to be right."""
+    """Faults, assumptions, and facts that were verified."""
 
     faults: tuple[str, ...]
     assumptions: tuple[Assumption, ...]
@@ -60,13 +60,13 @@ class Smoothness:
 
 
 def smoothness(diagram: Diagram, claim: Claim) -> Smoothness:
-    """Examine all that has been differentiated for a claim until now, and follow its trajectories."""
+    """Examine all expressions differentiated for a claim so far, and follow its trajectories."""
     return Examiner(diagram, claim).found()
 
 
 @final
 class Examiner:
-    """Examines what a claim differentiates; a second call examines only later entries."""
+    """Examines the expressions that a claim differentiates; a second call examines only later entries."""
 
     def __init__(self, diagram: Diagram, claim: Claim) -> None:
         self._diagram, self._claim = diagram, claim
@@ -75,7 +75,7 @@ class Examiner:
         self._enter(_field(claim))
 
     def found(self) -> Smoothness:
-        """What was found of all that is differentiated by now."""
+        """Results for all expressions differentiated so far."""
         entries = self._claim.operator.record.since(self._count)
         self._count += len(entries)
         for entry in entries:
@@ -95,12 +95,12 @@ class Examiner:
 
 
 def slope(claim: Claim, expression: SX) -> SX | None:
-    """The rate of a signal; None where it jumps or holds what has no rate, so that the chain rule does not give it.
+    """Rate of a signal; None if it jumps or contains a symbol without a rate, so that the chain rule does not apply.
 
-    A kink may stay: the rate is bounded next to it, which is all that Barbalat's lemma requires.
+    A kink is allowed: the rate is bounded next to it, as Barbalat's lemma requires.
     """
     still = claim.loop.constants
-    if jumps(expression, still) or any(_strangers(claim, expression)):
+    if jumps(expression, still) or any(_without_rate(claim, expression)):
         return None
     return claim.flow.unrecorded(expression)
 
@@ -109,8 +109,8 @@ Findings = Iterator[tuple[str, Text]]
 """Pairs of ``fault``, ``assumed`` or ``note`` with a text."""
 
 
-def _strangers(claim: Claim, expression: SX) -> Iterator[SX]:
-    """The symbols of an expression that have no rate: all but states, trajectories, the time and parameters."""
+def _without_rate(claim: Claim, expression: SX) -> Iterator[SX]:
+    """Symbols of an expression without a rate: all except states, trajectories, the time and parameters."""
     loop = claim.loop
     known = loop.constants.union([loop.time.element_hash()], *(variable.identities for variable in loop.variables))
     known = known.union(*(leaf.identities for leaf in claim.diagram.resolver.trajectories.values()))
@@ -118,12 +118,12 @@ def _strangers(claim: Claim, expression: SX) -> Iterator[SX]:
 
 
 def _symbols(claim: Claim, entry: Differentiated) -> Findings:
-    for symbol in _strangers(claim, entry.expression):
-        what = _stranger(claim.diagram, claim, symbol)
+    for symbol in _without_rate(claim, entry.expression):
+        what = _description(claim.diagram, claim, symbol)
         yield "fault", Text(entry.of, f" holds {what}; it has no rate to differentiate along")
 
 
-def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
+def _description(diagram: Diagram, claim: Claim, symbol: SX) -> str:
     own = symbols_in([symbol])
     for projection in claim.loop.projections:
         if own & symbols_in([projection.correction]):
@@ -136,7 +136,7 @@ def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
 
 
 def _operations(claim: Claim, entry: Differentiated) -> Findings:
-    """No operation jumps while the loop moves, and none has a kink that shows."""
+    """Operations with a jump along the motion, or with a kink that the expression does not smooth."""
     moving = symbols_in([claim.loop.time, claim.loop.state, *(leaf.symbol for leaf in claim.loop.trajectories)])
     moving |= symbols_in(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values())
     symbols, where = ca.symvar(entry.expression), entry.of
@@ -153,7 +153,7 @@ def _operations(claim: Claim, entry: Differentiated) -> Findings:
 
 
 def is_above(tape: Tape, place: int) -> bool:
-    """True for an instruction whose operands are all above zero by how they are computed."""
+    """True for an instruction whose operands are all positive by construction."""
     signs = dict[int, Sign]()
     for k, node in enumerate(tape.nodes[:place]):
         positive = node.code == CONST and tape.numbers[node.constant] > 0
@@ -162,7 +162,7 @@ def is_above(tape: Tape, place: int) -> bool:
 
 
 def jumps(expression: SX, still: AbstractSet[int]) -> set[int]:
-    """The operations of an expression that jump, of anything but the symbols that stand still."""
+    """Discontinuous operations of an expression that depend on other symbols than the constant ones."""
     symbols = ca.symvar(expression)
     function = ca.Function("jumps", [stack(symbols)], [ca.vec(ca.densify(expression))])
     if not JUMPS & codes(function):
@@ -172,7 +172,7 @@ def jumps(expression: SX, still: AbstractSet[int]) -> set[int]:
 
 
 def _field(claim: Claim) -> Findings:
-    """Where a rate jumps, solutions slide along the switching set, and their definition has to be stated."""
+    """Discontinuous rates: solutions may slide along the switching set, and their definition has to be stated."""
     loop, still = claim.loop, claim.loop.constants
     for variable in loop.variables:
         if found := jumps(loop.joined(loop.rates_of([variable]))[0], still):
@@ -184,10 +184,10 @@ def _field(claim: Claim) -> Findings:
 def is_smooth_over(tape: Tape, kink: int) -> bool:
     r"""True where the outputs are differentiable although h, a node with a kink, is not: x|x|, max(x, 0)^2.
 
-    With F the outputs as functions of h and of everything else, their slope jumps by
-    :math:`\partial F / \partial h` times a jump, on the set where the arguments of h meet. Each node is marked if it
-    vanishes there, and if its derivative by h does; a rule for each operation carries the marks on. No mark says
-    nothing; so False means that it was not shown.
+    With F the outputs as functions of h and of the other nodes, their slope jumps by :math:`\partial F / \partial h`
+    times a jump, on the set where h switches. Each node is marked if it vanishes there, and if its derivative by h
+    does; a rule for each operation propagates the marks. A missing mark means nothing, so False means that it was not
+    shown.
     """
     zero, flat = list[bool](), list[bool]()
     meeting = _meeting(tape, kink)
@@ -200,7 +200,7 @@ def is_smooth_over(tape: Tape, kink: int) -> bool:
             zero.append(zero[a] or zero[b])
             flat.append((flat[a] or zero[b]) and (flat[b] or zero[a]))
         elif code == ca.OP_DIV:
-            zero.append(zero[a] and not zero[b])  # 0/0 is anything
+            zero.append(zero[a] and not zero[b])  # 0/0 is undefined
             flat.append(flat[a] and (flat[b] or zero[a]) and not zero[b])
         elif code == ca.OP_INV or tape.exponent(k) is not None:
             zero.append(False)
@@ -223,23 +223,23 @@ def _meeting(tape: Tape, kink: int) -> set[int]:
 
 
 def _differentiated(diagram: Diagram, used: set[int]) -> Iterator[Leaf]:
-    """The trajectories and derivatives of them that are `used`, or whose next derivative is taken anywhere."""
+    """Trajectories and their derivatives that are `used`, or whose next derivative is taken."""
     resolver, used = diagram.resolver, set(used)
     for (block, _), source in diagram.sources.items():
         if isinstance(source, Derived):
             used |= symbols_in([resolver.input(block, source.of)])
     for (block, port, order), leaf in list(resolver.trajectories.items()):
         if resolver.steps(block, port):
-            continue  # the proof holds between its steps
+            continue  # the proof is valid between its steps
         if used & leaf.identities or (block, port, order + 1) in resolver.trajectories:
             yield leaf
 
 
 def followed_by_numbers(diagram: Diagram, claim: Claim) -> Iterator[tuple[str, SX]]:
-    """Trajectories checked for continuity at the graph's numbers only, with the parameters that they read.
+    """Trajectories whose continuity is checked at the graph's numbers only, with the parameters that they depend on.
 
-    One that is continuous, exactly, at random numbers near and far from these, and in which parameters alone switch
-    nothing, is so by how it is written, and left out.
+    A trajectory that is continuous at random numbers near and far from these, and in which parameters alone do not
+    switch anything, is continuous by construction and left out.
     """
     for leaf in _differentiated(diagram, symbols_in([entry.expression for entry in claim.operator.record.since(0)])):
         joined, function = _path(diagram, leaf)
@@ -254,7 +254,7 @@ def _continuous_anywhere(diagram: Diagram, function: ca.Function) -> bool:
     timed = {k for k, _ in moving_operations(tape, [[True], [False] * tape.inputs[1][1]])}
     of_all = moving_operations(tape, [[True], [True] * tape.inputs[1][1]])
     if any(k not in timed and code in JUMPS | KINKS | {ca.OP_ATAN2} for k, code in of_all):
-        return False  # another branch may be taken at other numbers
+        return False  # other numbers may select another branch
     own = [value for parameter in diagram.loop.parameters for value in exact[parameter.label]]
     for scale in SCALES:
         try:
@@ -267,7 +267,7 @@ def _continuous_anywhere(diagram: Diagram, function: ca.Function) -> bool:
 
 
 def _near(value: Fraction, scale: Fraction, rng: random.Random) -> Fraction:
-    """Another number of the same sign; of zero, one that is not, since a factor would leave it what it is."""
+    """Another number of the same sign; for zero a nonzero one, since a factor would not change it."""
     part = Fraction(rng.randrange(1, 10**6), 10**6)
     return value * (1 + scale * part) if value else scale * part * rng.choice((1, -1))
 
@@ -280,14 +280,14 @@ def _path(diagram: Diagram, leaf: Leaf) -> tuple[SX, ca.Function]:
 
 
 def _switches(function: ca.Function) -> bool:
-    """True for a function of time that may jump, or have no derivative, somewhere."""
+    """True for a function of time that may jump or be non-differentiable somewhere."""
     tape = Tape.from_function(function)
     found = {code for _, code in moving_operations(tape, [[True], [False] * tape.inputs[1][1]])}
     return bool(found & (JUMPS | KINKS | EDGES | DIVISIONS))
 
 
 def _followed(diagram: Diagram, leaf: Leaf) -> Findings:
-    """A function of time alone, and continuous."""
+    """Faults of a trajectory that depends on other signals than time, or is discontinuous."""
     parameters = diagram.loop.parameters
     _, function = _path(diagram, leaf)
     if function.has_free():
@@ -303,11 +303,11 @@ def _followed(diagram: Diagram, leaf: Leaf) -> Findings:
     try:
         course = follow(tape, values)
     except (NotFollowed, UndecidedError, ZeroDivisionError):
-        yield from _looked_at(leaf, function, diagram.loop.p_values)
+        yield from _sampled(leaf, function, diagram.loop.p_values)
         return
     yield from _course(leaf, course)
     if course.jump is None and course.edged:
-        yield from _looked_at(leaf, function, diagram.loop.p_values)
+        yield from _sampled(leaf, function, diagram.loop.p_values)
 
 
 def _course(leaf: Leaf, course: Course) -> Findings:
@@ -323,8 +323,8 @@ def _course(leaf: Leaf, course: Course) -> Findings:
         yield "note", Text(Label(leaf.name), f" is continuous at its {count} switching instants, and smooth between")
 
 
-def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Findings:
-    """Not followed exactly: looked at where its steps stand out."""
+def _sampled(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Findings:
+    """Numerical search for jumps of a trajectory that cannot be followed exactly."""
     found = _step(function, p)
     if found is not None:
         element, time, before, after = found
@@ -336,7 +336,7 @@ def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Findings:
 
 
 def _step(function: ca.Function, p: np.ndarray) -> tuple[int, float, float, float] | None:
-    """(element, time, before, after) of a step that stays when the time between its ends is halved and halved again."""
+    """(element, time, before, after) of a step that does not shrink when its time interval is repeatedly halved."""
     at = Sampler(function, p)
     time = np.linspace(0.0, HORIZON, SAMPLES)
     values = at.over(time)
@@ -347,14 +347,14 @@ def _step(function: ca.Function, p: np.ndarray) -> tuple[int, float, float, floa
         suspects = np.argsort(np.where(np.isfinite(odd), odd, np.inf))[-SUSPECTS:]
         steps_found = [_narrowed(at, element, float(time[k]), float(time[k + 1])) for k in suspects]
         jumps = [found for found in steps_found if not abs(found[3] - found[2]) <= 1e-6 * max(scale, 1e-6)]
-        if jumps:  # the first one, and one with two sides before one without
+        if jumps:  # the first one; finite jumps before infinite ones
             return min(jumps, key=lambda found: (not np.isfinite(found[3] - found[2]), found[1]))
     return None
 
 
 def _narrowed(at: Sampler, element: int, low: float, high: float) -> tuple[int, float, float, float]:
     before, after = float(at(low)[element]), float(at(high)[element])
-    for _ in range(HALVINGS):
+    for _ in range(BISECTIONS):
         middle = (low + high) / 2
         if middle in (low, high):
             break

@@ -1,4 +1,4 @@
-"""Where the states of a claim start, as far as the graph's numbers say it."""
+"""Initial values of the states of a claim, as far as the graph's numbers determine them."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ ZERO: Final = Fraction(0)
 
 
 def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Number | None]:
-    """Where a state starts, column by column; None for an element that is no function of parameters alone.
+    """Initial value of a state, column by column; None for an element that depends on more than parameters.
 
     Parameters
     ----------
     label
         ``block.state``.
     given
-        The graph's key `start`, which goes before what the block says.
+        The graph's key `start`, which has precedence over the block.
     """
     if label in numbers.starts:
         return list(numbers.starts[label])
@@ -40,15 +40,15 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
     size = _size(label, numbers)
     try:
         starts = _start_of(label, numbers)
-    except BlockError:  # a start that no run could take; the run says so
+    except BlockError:  # an invalid initial value, which a run reports
         return [None] * size
     return [ZERO] * size if starts is None else [_value(starts[row], numbers) for row in range(size)]
 
 
 def has_start(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
-    """True where a graph, a parameter or a block says where a state starts, and where it starts at zero without a word.
+    """True if a graph, a parameter or a block states the initial value, and for a default of zero.
 
-    Of the plant's states alone a run may look for one, where a measured signal follows a trajectory.
+    Only for states of the plant a run may compute one, if a measured signal follows a trajectory.
     """
     loop = numbers.claim.loop
     if not (loop.followed and any(variable.label == label for variable in loop.plant)):
@@ -60,7 +60,7 @@ def has_start(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
 
 
 def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> SX | None:
-    """The same as an expression, of which elements may hold more than parameters; None of a start that is a fault."""
+    """The same as an expression, whose elements may contain more than parameters; None for an invalid initial value."""
     if _given(label, numbers, given) is None:
         for parameter in numbers.claim.loop.parameters:
             if parameter.label == label:
@@ -82,7 +82,7 @@ def _size(label: str, numbers: Numbers) -> int:
 
 
 def _number(label: str, numbers: Numbers, given: Mapping[str, Any]) -> np.ndarray | None:
-    """What a graph or a parameter says; one number for all elements, or each, a matrix column by column."""
+    """Initial value from a graph or a parameter; one number for all elements, or each, a matrix column by column."""
     block, _, state = label.partition(".")
     for values in (_given(label, numbers, given), numbers.claim.diagram.models[block].values.get(state)):
         if values is not None:
@@ -93,7 +93,7 @@ def _number(label: str, numbers: Numbers, given: Mapping[str, Any]) -> np.ndarra
 
 
 def _start_of(label: str, numbers: Numbers) -> SX | None:
-    """What the block says, in the leaves of the closed loop; raises `BlockError`."""
+    """Initial value from the block, in the independent variables of the loop; raises `BlockError`."""
     claim, (block, _, state) = numbers.claim, label.partition(".")
     seen = view(claim.diagram, block, claim.truths)
     with fault_context(block, "start()"):
@@ -101,17 +101,17 @@ def _start_of(label: str, numbers: Numbers) -> SX | None:
     return None if starts is None else claim.loop.joined([ca.vec(ca.densify(ca.SX(starts)))])[0]
 
 
-def begun_at(
+def margin_from_start(
     margin: SX, numbers: Numbers, given: Mapping[str, Any], labels: Container[str] | None = None, *, zero: bool = False
 ) -> Begun:
-    """A margin in states, at the start.
+    """A margin in states, evaluated at the initial state.
 
     Parameters
     ----------
     labels
-        The states whose starts count; others are left. Without it, all that the margin holds.
+        States whose initial values are substituted; by default all in the margin.
     zero
-        A state whose start neither graph nor block says starts at zero.
+        True if a state without a stated initial value starts at zero.
     """
     claim = numbers.claim
     used, symbols, starts = symbols_in([margin]), dict[str, SX](), dict[str, SX | None]()
@@ -127,7 +127,7 @@ def begun_at(
 
 
 def _given(label: str, numbers: Numbers, given: Mapping[str, Any]) -> Any:
-    """What a graph's key `start` says of the state, by its label, or by a name of which it is the first as in a run."""
+    """Value of the state in a graph's key `start`, by its label, or by a name of which it is the first, as in a run."""
     loop = numbers.claim.loop
     if label in given:
         return given[label]

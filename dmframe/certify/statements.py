@@ -1,4 +1,4 @@
-"""What follows from V and dV/dt: which signals are bounded, square-integrable, and converge; by which step."""
+"""Conclusions from V and dV/dt: bounded, square-integrable and convergent signals, each with its proof step."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ T = TypeVar("T", bound=Positive)
 @final
 @dataclass(frozen=True)
 class Statement:
-    """One sentence about one signal, with the step that gives it and what the step takes for granted.
+    """A conclusion about one signal, with its proof step and the assumptions of that step.
 
-    `concludes`: it is about a signal for whose sake the loop is built, an error that goes to zero.
+    `concludes`: it concerns a control objective, an error that converges to zero.
     """
 
     signal: Text
@@ -43,16 +43,16 @@ class Statement:
 @final
 @dataclass(frozen=True)
 class States:
-    """What is known of the states, by label.
+    """Boundedness of the states, by label.
 
     Parameters
     ----------
     bounded
-        Those that stay bounded.
+        States that are bounded.
     unfelt
-        Those of which some combination is not bounded, but moves nothing else: whole turns of a joint, say.
+        States in an unbounded combination on which no rate depends, such as a joint angle that increases without bound.
     open
-        Those that are not known to be bounded, and that others feel.
+        States that are not known to be bounded, and on which rates depend.
     """
 
     bounded: tuple[str, ...] = ()
@@ -64,11 +64,11 @@ def states_of(claim: Claim, closure: Closure) -> States:
     """Sort the states."""
     left = [variable.label for variable in closure.open_states()]
     bounded = tuple(v.label for v in closure.variables if v.label not in left)
-    return States(bounded, tuple(left), ()) if closure.turning() else States(bounded, (), tuple(left))
+    return States(bounded, tuple(left), ()) if closure.isolated() else States(bounded, (), tuple(left))
 
 
 def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
-    """What is bounded to begin with: what V holds, and what a projection keeps; and what may follow."""
+    """Initially bounded vectors: those in V, and projected estimates; and linear subsystems that may follow."""
     driven = [(part.block, item) for part in claim.parts for item in part.certificate.linear]
     driven += [
         (part.block, _memory(term))
@@ -84,20 +84,18 @@ def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
 
 
 def _memory(term: InformationSquare) -> StableLinear:
-    """What is gathered is forgotten: it obeys a stable equation."""
+    """An information matrix with forgetting obeys a stable linear equation."""
     memory = ca.vec(ca.densify(term.memory))
     return StableLinear(
         (memory,), ((-term.forgetting,),), (memory,), of=(Text(name_of("G"), " of ", square_of(term.of, "G")),)
     )
 
 
-IN_V = sentence("{V} holds it with a positive weight and does not grow")
-INSIDE = sentence(
-    "{V} holds its divergence, which grows beyond all bounds at the edge of the positive definite matrices"
-)
+IN_V = sentence("{V} contains it with a positive weight and does not grow")
+INSIDE = sentence("{V} contains its divergence, which is unbounded at the boundary of the positive definite matrices")
 SPENT = sentence("{dV/dt} dissipates it, and the total dissipation is at most {V(0)}")
 DRIVEN = Text("a stable linear equation with the servo's true gains drives it, and its input is bounded")
-CLOSED = Text("it is made of bounded signals, sines and cosines")
+CLOSED = Text("it is a function of bounded signals, sines and cosines")
 BARBALAT = Text("a square-integrable signal with a bounded derivative goes to zero [Barbalat's lemma]")
 BEYOND = sentence("{dV/dt} dissipates at least the square of its part beyond the dead zone [Barbalat's lemma]")
 AGAIN = Text("a signal that converges, with a bounded second derivative, comes to rest [Barbalat's lemma]")
@@ -110,11 +108,11 @@ PROJECTED = Text("a projection keeps the estimate in its set")
 
 
 def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure) -> list[Statement]:
-    """Read off V and its dissipation, term by term; they hold if the claim is proved."""
+    """Conclusions from V and its dissipation, term by term; they are valid if the claim is proved."""
     if any(part.certificate.residual for part in claim.parts):
         return list(_up_to_a_residual(claim, symbols, signs))
     stored = [term for _, term in _stored(claim) if signs.positive(term)]
-    spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
+    dissipated = _distinct([square for square in _dissipated_squares(claim) if signs.positive(square)])
     found = [
         Statement(term.of, "stays in a compact set of positive definite matrices", INSIDE)
         if isinstance(term, LogDet)
@@ -130,8 +128,8 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
         if shown and name not in held
     ]
     found += _states(claim, closure, {statement.signal for statement in found})
-    found += [Statement(square.of, "is square-integrable", SPENT) for square in spent]
-    vanishing = _vanishing(claim, closure, spent)
+    found += [Statement(square.of, "is square-integrable", SPENT) for square in dissipated]
+    vanishing = _vanishing(claim, closure, dissipated)
     wanted = _wanted(claim, closure)
     for item in vanishing:
         assumes = item.assumes if item.proved else (_smooth(item.of),)
@@ -152,7 +150,7 @@ def _stored_squares(claim: Claim) -> list[Square]:
     return [term for _, term in _stored(claim) if isinstance(term, Square)]
 
 
-def _spent_squares(claim: Claim) -> list[Square]:
+def _dissipated_squares(claim: Claim) -> list[Square]:
     return [term for part in claim.parts for term in part.certificate.dissipation if isinstance(term, Square)]
 
 
@@ -162,7 +160,7 @@ def _distinct(terms: Sequence[T]) -> list[T]:
 
 
 def _vectors(claim: Claim) -> dict[Text, SX]:
-    """Each name that a certificate gives to a vector; `dmframe.certify.labels` gives one name to one vector."""
+    """Each name of a vector in a certificate; `dmframe.certify.labels` gives one name to one vector."""
     found = dict[Text, SX]()
     for part in claim.parts:
         certificate = part.certificate
@@ -179,7 +177,7 @@ def _vectors(claim: Claim) -> dict[Text, SX]:
 
 
 def _states(claim: Claim, closure: Closure, stated: set[str]) -> list[Statement]:
-    """The plant's states that follow, each by its name in the equations."""
+    """Bounded states of the plant, each by its name in the equations."""
     known = _vectors(claim)
     before = [vector for name, vector in known.items() if name in stated]
     left = {variable.label for variable in closure.open_states()}
@@ -191,7 +189,7 @@ def _states(claim: Claim, closure: Closure, stated: set[str]) -> list[Statement]
 
 
 def _state_name(claim: Claim, variable: Variable, known: Mapping[Text, SX]) -> Text:
-    """A state's name, with its block where another state, or another vector, has it."""
+    """A state's name, with its block if another state, or another vector, has the same name."""
     states = (*claim.loop.plant, *claim.loop.controller)
     single = all(other.name != variable.name or other.label == variable.label for other in states)
     name = name_of(variable.name)
@@ -204,12 +202,12 @@ def _equal(one: SX, other: SX) -> bool:
     return one.shape == other.shape and bool(ca.is_equal(one, other, 1))
 
 
-def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[Vanishing]:
-    """The dissipated squares, with whether their derivatives are bounded."""
-    rates = [slope(claim, square.vector) for square in spent]
+def _vanishing(claim: Claim, closure: Closure, dissipated: Sequence[Square]) -> list[Vanishing]:
+    """The dissipated squares, and whether their derivatives are bounded."""
+    rates = [slope(claim, square.vector) for square in dissipated]
     shown = iter(closure.bounds([rate for rate in rates if rate is not None]))
     found = list[Vanishing]()
-    for square, rate in zip(spent, rates, strict=True):
+    for square, rate in zip(dissipated, rates, strict=True):
         proved = rate is not None and next(shown)
         assumes = closure.needs([rate]) if rate is not None and proved else ()
         found.append(Vanishing(square.of, square.vector, proved, assumes))
@@ -217,15 +215,15 @@ def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[
 
 
 def vanishing_of(claim: Claim, closure: Closure, signs: Signs) -> list[Vanishing]:
-    """What converges to zero because it is dissipated; nothing for a claim with a residual."""
+    """Signals that converge to zero since they are dissipated; none for a claim with a residual."""
     if any(part.certificate.residual for part in claim.parts):
         return []
-    spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
-    return [item for item in _vanishing(claim, closure, spent) if item.proved]
+    dissipated = _distinct([square for square in _dissipated_squares(claim) if signs.positive(square)])
+    return [item for item in _vanishing(claim, closure, dissipated) if item.proved]
 
 
 def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> Iterator[Statement]:
-    """Errors that go to zero because what vanishes is made of them, and their rates."""
+    """Errors that converge to zero as combinations of vanishing signals, and their rates."""
     rests = _at_rest(claim, closure, vanishing)
     yield from (Statement(item.of, "goes to zero", AGAIN, item.assumes) for item in rests)
     sure = [item for item in (*vanishing, *rests) if item.proved]
@@ -244,7 +242,7 @@ def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing])
 
 
 def _wanted(claim: Claim, closure: Closure) -> set[Text]:
-    """Errors for whose sake the loop is built: of the task level or driven by it, and about the robot."""
+    """Control objectives: errors of the task level or driven by it that contain states of the robot."""
     task = {term.of: term.vector for part, term in _stored(claim) if part.cascade}
     task |= {term.of: term.vector for part in claim.parts for term in part.certificate.errors}
     pairs = [pair for item in closure.linear for pair in zip(item.of, item.bounded, strict=True)]
@@ -255,7 +253,7 @@ def _wanted(claim: Claim, closure: Closure) -> set[Text]:
 
 
 def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> list[Vanishing]:
-    """Rates of states that vanish: with a bounded second derivative they vanish too."""
+    """Rates of vanishing states: with a bounded second derivative they vanish too."""
     found = list[Vanishing]()
     for item in vanishing:
         if not (item.proved and _is_state(claim, item.vector)):
@@ -268,7 +266,7 @@ def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> 
 
 
 def _rate_name(claim: Claim, of: Text, rate: SX) -> Text:
-    """``dx``, unless something else prints like that; else ``d(x)/dt``."""
+    """``dx``, unless another signal prints like that; else ``d(x)/dt``."""
     short, full = Text(name_of(f"d{of}")), _rate_of(of)
     known = _vectors(claim)
     if not of.isidentifier() or (short in known and not _equal(rate, known[short])):
@@ -285,7 +283,7 @@ def _rate_of(of: Text) -> Text:
 
 
 def _second(claim: Claim, vector: SX) -> SX | None:
-    """The second derivative; None where the vector or the first one jumps, so that it has none."""
+    """Second derivative; None if the vector or its first derivative is discontinuous."""
     first = slope(claim, vector)
     return None if first is None else slope(claim, first)
 
@@ -296,7 +294,7 @@ def _is_state(claim: Claim, vector: SX) -> bool:
 
 
 def _into_dead_zones(claim: Claim, signs: Signs) -> Iterator[Statement]:
-    """Only an error against zero goes into its dead zone; of two signals, what is beyond it need not vanish."""
+    """Only an error compared with zero converges to its dead zone; the difference of two signals need not."""
     for part in claim.parts:
         for term in part.certificate.dissipation:
             dead = isinstance(term, Lemma) and term.phi == "beyond"
@@ -305,7 +303,7 @@ def _into_dead_zones(claim: Claim, signs: Signs) -> Iterator[Statement]:
 
 
 def _up_to_a_residual(claim: Claim, symbols: Symbols, signs: Signs) -> Iterator[Statement]:
-    """Of a claim with a bounded residual: V may rise, so that nothing is bounded only because V holds it."""
+    """Conclusions of a claim with a bounded residual: V may increase, so that a signal in V need not be bounded."""
     projected, left = residual_bases(claim)
     assumes = tuple(dict.fromkeys(_assumed(claim)))
     if ultimate(claim, symbols, signs):
@@ -314,7 +312,7 @@ def _up_to_a_residual(claim: Claim, symbols: Symbols, signs: Signs) -> Iterator[
         return
     yield from (Statement(square.of, "is bounded", PROJECTED) for square in projected)
     yield from _bodies(claim)
-    for square in _distinct([square for square in _spent_squares(claim) if signs.positive(square)]):
+    for square in _distinct([square for square in _dissipated_squares(claim) if signs.positive(square)]):
         yield Statement(square.of, "is bounded in the mean square, by the residual", IN_THE_MEAN, assumes)
 
 
@@ -323,25 +321,25 @@ def _bodies(claim: Claim) -> Iterator[Statement]:
         if isinstance(projection.set, Bodies):
             yield Statement(
                 Text(name_of(projection.of)),
-                "is made of bodies, each at its share of the nominal one or above",
+                "consists of bodies, each not less than its fraction of the nominal one",
                 PROJECTED,
             )
 
 
 def residual_bases(claim: Claim) -> tuple[list[Square], list[Square]]:
-    """Of a claim with a bounded residual: the squares that a projection bounds, and the others."""
+    """For a claim with a bounded residual: the squares that a projection bounds, and the others."""
     stored = _stored_squares(claim)
     projected = [square for square in stored if _is_projected(claim, square)]
     return projected, [square for square in stored if square not in projected]
 
 
 def ultimate(claim: Claim, symbols: Symbols, signs: Signs) -> bool:
-    """True where all that V holds is spent, or projected, so that V falls wherever it is large."""
+    """True if every term of V is dissipated or projected, so that V decreases wherever it is large."""
     stored = [term for part in claim.parts for term in part.certificate.storage]
     if not all(isinstance(term, Square) and not signs.may_grow(term) for term in stored):
-        return False  # nothing shows that it is spent in proportion
+        return False  # its dissipation need not be proportional to it
     _, left = residual_bases(claim)
-    return not tuple(_assumed(claim)) and all(_is_spent(claim, square, symbols, signs) for square in left)
+    return not tuple(_assumed(claim)) and all(_is_dissipated(claim, square, symbols, signs) for square in left)
 
 
 def _assumed(claim: Claim) -> Iterator[Text]:
@@ -354,7 +352,7 @@ def _assumed(claim: Claim) -> Iterator[Text]:
 
 
 def _is_projected(claim: Claim, square: Square) -> bool:
-    """True where it holds a projected estimate, and no other state."""
+    """True if it contains a projected estimate, and no other state."""
     used = symbols_in([square.vector])
     variables = claim.loop.variables
     moving = {variable.label for variable in variables if used & variable.identities}
@@ -362,11 +360,11 @@ def _is_projected(claim: Claim, square: Square) -> bool:
     return moving == bounding and len(moving) == 1
 
 
-def _is_spent(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> bool:
+def _is_dissipated(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> bool:
     """True for a square whose own vector is dissipated, identically, with a positive weight."""
     return any(
         signs.positive(term) and _same(square, term, symbols)
-        for term in _spent_squares(claim)
+        for term in _dissipated_squares(claim)
         if term.vector.shape == square.vector.shape
     )
 

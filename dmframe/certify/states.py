@@ -1,7 +1,7 @@
-"""Which states a proof over samples bounds: what V, a box or the map of a sample itself keeps; the others are named.
+"""States that a discrete-time proof bounds: by V, by a box, or by the map of a sample; the others are listed.
 
-A state follows from the map where its next value is its own, or is defined everywhere and made of bounded states and
-parameters alone. Nothing is known of what moves between samples, of a source, or of what is drawn.
+The map bounds a state if its next value is the state itself, or is defined everywhere and depends only on bounded
+states and parameters. Continuous states, sources and random inputs are not analysed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dmframe.exact.rational import Interval
 
 
 def sampled_states(claim: Claim, numbers: Numbers, seed: int) -> States:
-    """Sort all states of the loop, the plant's too."""
+    """Sort all states of the loop, including the plant's."""
     known = _boxed(claim) | _in_v(claim, numbers, seed)
     becomes = {label: pair for label, pair in _becomes(claim) if label not in known}
     needed = {label: _needed(*pair) for label, pair in becomes.items()}
@@ -43,21 +43,21 @@ def sampled_states(claim: Claim, numbers: Numbers, seed: int) -> States:
     return States(tuple(x for x in labels if x in known), (), tuple(x for x in labels if x not in known))
 
 
-def held_in_v(claim: Claim) -> list[str]:
-    """The labels of the states that V holds, of which the proof is."""
+def states_in_v(claim: Claim) -> list[str]:
+    """Labels of the states in V, to which the proof applies."""
     used = symbols_in([claim.V])
     return [label for label, symbol in claim.sample.symbols.items() if used & symbols_in([symbol])]
 
 
 def _boxed(claim: Claim) -> set[str]:
-    """What is put back into a bounded set at each sample."""
+    """States that are projected onto a bounded set at each sample."""
     loop = claim.loop
     found = {f"{part.block}.{item.estimate}" for part in claim.parts for item in part.certificate.steps if item.box}
     return found | {f"{item.block}.{item.of}" for item in loop.projections if item.set.bounds}
 
 
 def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
-    """What a V that never rises holds: the states that its vectors, linear in them, determine.
+    """States determined by the vectors of a V that does not increase, if the vectors are linear in them.
 
     A vector with a jump, such as x - floor(x), has a constant slope and is not linear.
     """
@@ -68,7 +68,7 @@ def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
     rows = Echelon(trial.prime, states.numel())
     for part in claim.parts:
         if part.certificate.residual or part.certificate.steps:
-            continue  # V rises by what is gained, of which nothing is known
+            continue  # V may increase by an unknown amount
         for term in part.certificate.storage:
             if jumps(ca.SX(term.vector), numbers.known):
                 continue
@@ -79,7 +79,7 @@ def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
 
 
 def _constant_rows(slopes: SX, numbers: Numbers, trial: Trial) -> Iterator[list[int]]:
-    """The rows of a matrix that are numbers of the graph."""
+    """Rows of a matrix that are numbers of the graph."""
     for row in ca.vertsplit(slopes):
         try:
             values = numbers.of(row)
@@ -90,7 +90,7 @@ def _constant_rows(slopes: SX, numbers: Numbers, trial: Trial) -> Iterator[list[
 
 
 def _becomes(claim: Claim) -> Iterator[tuple[str, tuple[SX, SX]]]:
-    """Each state, and what it is one sample later; of one that moves between samples, only where it never does."""
+    """Each state, and its next value; a continuous state only if it is constant."""
     loop = claim.loop
     moved = loop.joined([loop.advanced])[0]
     for variable, rows in rows_of(loop.stepped):
@@ -101,11 +101,11 @@ def _becomes(claim: Claim) -> Iterator[tuple[str, tuple[SX, SX]]]:
 
 
 def _needed(state: SX, then: SX) -> set[int]:
-    """The symbols that must be bounded for a state to be so; one that stays needs none."""
+    """Symbols that must be bounded for a state to be bounded; none for a constant state."""
     stays = ca.is_equal(ca.densify(then), ca.densify(state), 2)
     return set() if stays else symbols_in([then])
 
 
 def _is_defined(then: SX) -> bool:
-    """True where operations that are defined everywhere make a next value."""
+    """True if a next value consists of operations that are defined everywhere."""
     return not any(symbols_in([part]) for _, part in domains_of([then]))

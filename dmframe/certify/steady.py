@@ -1,4 +1,4 @@
-"""Whether certificates, conditions and starts are the same at other numbers, as equations are by construction."""
+"""Check that certificates, conditions and initial values do not contain numbers of the block."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dmframe.block import AbstractBlock
 from dmframe.block.certificate import SX, Certificate
 from dmframe.block.faults import fault_context
 from dmframe.block.parameter import specs
-from dmframe.block.steady import Stating, collected, hold_steady
+from dmframe.block.steady import Stating, check_steady, collected
 from dmframe.certify.form import NotApplicableError
 from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import Diagram
@@ -19,26 +19,26 @@ from dmframe.diagram.truths import Stated
 from dmframe.diagram.view import View, recalling, stated_start, view
 
 
-def hold_claims(diagram: Diagram, truths: Stated) -> None:
-    """Refuse a block whose certificate, conditions or start hold a number that they did not take from `p`.
+def check_claims(diagram: Diagram, truths: Stated) -> None:
+    """Reject a block whose certificate, conditions or initial values contain a number that was not read from `p`.
 
-    Raises `NotApplicableError`: such a claim would be that of one number, printed as one for all.
+    Raises `NotApplicableError`: such a claim would be valid for one number only, but printed for all.
     """
     for name, block in diagram.blocks.items():
         if not specs(type(block)):
             continue
         seen = recalling(diagram, name, view(diagram, name, truths))
-        for says, stating in _methods(name, seen, {}):
+        for statement, stating in _methods(name, seen, {}):
             try:
-                hold_steady(name, block, says, stating(block), stating)
+                check_steady(name, block, statement, stating(block), stating)
             except BlockError as error:
                 raise NotApplicableError(error.text) from None
 
 
 def stated_claims(block: AbstractBlock, seen: View, constants: dict[str, SX]) -> dict[str, Any]:
-    """A block's certificate and conditions, by the words for their parts; what it raises instead, as a text.
+    """A block's certificate and conditions, by descriptions of their parts; an exception as a text.
 
-    `constants` are the unknown constants of certificates, by name; they are made where they are not there yet.
+    `constants` are the unknown constants of certificates, by name; missing ones are created.
     """
     found = dict[str, Any]()
     for _, stating in _methods("", seen, constants)[:2]:
@@ -47,7 +47,7 @@ def stated_claims(block: AbstractBlock, seen: View, constants: dict[str, SX]) ->
 
 
 def _with_own_constants(stated: Certificate, known: dict[str, SX]) -> dict[str, Any]:
-    """A certificate whose unknown constants, which each evaluation makes anew, are the `known` ones of their names."""
+    """A certificate whose unknown constants, created anew by each evaluation, are replaced by the `known` ones."""
     made = {name: value for name, value in stated.unknown.items() if isinstance(value, ca.SX)}
     ours = [known.setdefault(name, ca.SX.sym(name, *value.shape)) for name, value in made.items()]
     found = dict[str, Any]()
@@ -77,7 +77,7 @@ def _methods(name: str, seen: View, constants: dict[str, SX]) -> list[tuple[str,
             try:
                 with fault_context(name, method):
                     return stated(block)
-            except DmframeError as error:  # one that depends on a number differs, too
+            except DmframeError as error:  # an error that depends on a number also differs
                 return {"error": error.text}
 
         return evaluated

@@ -1,4 +1,4 @@
-"""A verdict as plain data: what ``verify --json`` prints."""
+"""A verdict as plain data: the output of ``verify --json``."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ KINDS = {
     Potential: "potential",
     LogDet: "log_det",
 }
-"""Of a term, as it is printed."""
+"""Printed kind of each class of terms."""
 
 
 def summary(name: str, verdict: Verdict) -> dict[str, Any]:
-    """Plain data that JSON can hold; numbers that are not finite are None."""
+    """Plain data for JSON; numbers that are not finite are None."""
     test, claim, flow = verdict.test, verdict.claim, verdict.flow_claim
     return {
         "graph": name,
@@ -67,7 +67,7 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
 
 
 def _terms(claim: Claim, role: str) -> list[dict[str, Any]]:
-    """Each term: whose, of what, a square or a lemma, and its weight in V."""
+    """Each term: its block, its vector, its kind, and its weight in V."""
     return [
         {
             "block": part.block,
@@ -81,7 +81,7 @@ def _terms(claim: Claim, role: str) -> list[dict[str, Any]]:
 
 
 def _picked(item: Any, names: str) -> dict[str, Any]:
-    """These attributes as plain data, ``attribute:key`` under another key."""
+    """These attributes as plain data; ``attribute:key`` renames one."""
     found = dict[str, Any]()
     for name in names.split():
         attribute, _, key = name.partition(":")

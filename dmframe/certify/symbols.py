@@ -1,4 +1,4 @@
-"""The symbols over which a claim is quantified, and the few that have their exact values."""
+"""Symbols over which a claim is quantified, and those that have exact values."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dmframe.robot.rational import decimal
 @final
 @dataclass(frozen=True)
 class Group:
-    """A signal or a parameter: its symbols, and its exact values where it is not free."""
+    """A signal or a parameter: its symbols, and its exact values if it is not free."""
 
     label: str
     kind: str
@@ -35,14 +35,14 @@ class Group:
 @final
 @dataclass(frozen=True)
 class Symbols:
-    """Everything that a residual may depend on, in one order."""
+    """All symbols of a residual, in a fixed order."""
 
     groups: tuple[Group, ...]
 
     def function(self, name: str, expressions: Sequence[SX], more: Sequence[SX] = ()) -> Any:
-        """Expressions as a function of all groups, and of more symbols.
+        """Expressions as a function of all groups, and of further symbols.
 
-        Raises `NotApplicableError` where they hold any other symbol.
+        Raises `NotApplicableError` if they contain any other symbol.
         """
         inputs = [*self._inputs, *map(ca.vec, more)]
         function = ca.Function(name, inputs, [ca.vec(x) for x in expressions], {"allow_free": True, **TO_READ})
@@ -52,7 +52,7 @@ class Symbols:
         return function
 
     def vanishes(self, name: str, expression: SX, trials: int = 3) -> bool:
-        """True for what is zero identically. Raises `ValueFault` where it is nowhere defined."""
+        """True if an expression is identically zero. Raises `ValueFault` if it is undefined everywhere."""
         return bool(zero_test(self.function(name, [expression]), values=self.fixed, trials=trials).zero)
 
     @cached_property
@@ -68,9 +68,9 @@ class Symbols:
 def symbols_of(claim: Claim, uncertain: Collection[str] = ()) -> Symbols:
     """The claim's symbols: the same object until a derivative adds a trajectory.
 
-    Free are the time, all states, trajectories, projections' corrections, gains, servo and inertial parameters. Fixed
-    are the robot's rotations, which must be orthogonal, and what the plant has not: its parameters that are zero, and
-    that are not `uncertain`, by label.
+    Free symbols are the time, all states, trajectories, corrections of projections, gains, servo and inertial
+    parameters. Fixed are the robot's rotations, which must be orthogonal, and absent effects: parameters of the plant
+    that are zero and not `uncertain`, by label.
     """
     key = (frozenset(uncertain), len(claim.diagram.resolver.trajectories))
     if key not in claim.symbols:
@@ -106,7 +106,7 @@ def _symbols_of(claim: Claim, uncertain: Collection[str]) -> Symbols:
 
 
 def _no_constants(claim: Claim, known: Sequence[Group], unknown: Sequence[Group]) -> Iterator[str]:
-    """Unknown constants that are a signal, a parameter, or no symbol of their own."""
+    """Unknown constants that are a signal, a parameter, or not a separate symbol."""
     labels, loop = {group.label for group in known}, claim.loop
     sources = claim.diagram.resolver.trajectories.values()
     taken = symbols_in(
@@ -126,7 +126,7 @@ def _no_constants(claim: Claim, known: Sequence[Group], unknown: Sequence[Group]
 
 
 def _of_a_clock(loop: ClosedLoop) -> Iterator[Group]:
-    """The sampling period, what trajectories are later, what is drawn at a sample, and what is commanded there."""
+    """Sampling period, future trajectories, random inputs, and commands of a discrete-time claim."""
     yield Group("T", "period", loop.period)
     yield from (Group(leaf.name, "trajectory", leaf.symbol) for leaf in loop.ahead)
     yield from (Group(noise.label, "noise", noise.symbol) for noise in loop.noises)
@@ -134,7 +134,7 @@ def _of_a_clock(loop: ClosedLoop) -> Iterator[Group]:
 
 
 def _of_source(diagram: Diagram, parameter: Parameter) -> bool:
-    """True for what only shapes a trajectory: those are free as a whole, and some bear the name of their parameter."""
+    """True for a parameter that only shapes a trajectory; trajectories are free symbols, some with the same name."""
     block = parameter.label.partition(".")[0]
     return block in diagram.blocks and diagram.resolver.side(block) is Side.SOURCE
 
@@ -150,7 +150,7 @@ def _parameter(diagram: Diagram, parameter: Parameter, uncertain: bool) -> Group
 
 
 def exact_values(diagram: Diagram) -> Mapping[str, tuple[Fraction, ...]]:
-    """Every parameter's value as rational numbers: what was written in decimals, and the robot's exact numbers."""
+    """Every parameter's value as rational numbers: decimals as written, and the robot's exact numbers."""
     return {
         parameter.label: parameter.rational or tuple(decimal(float(x)) for x in parameter.value.ravel(order="F"))
         for parameter in diagram.loop.parameters

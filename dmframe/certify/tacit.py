@@ -1,9 +1,9 @@
-"""Checks of `verify` without a line of their own: as margins, or as the list of what each outcome depends on.
+"""Checks of `verify` without a line in the verdict, as margins or as lists of the values that they depend on.
 
-That nothing divides by zero, that a clipped term has a width, that a projection's set has an inside, that an equation
-is stable for which its block would otherwise require more, that a path does not jump, that a load is a body, that what
-is zero in the graph is zero, that a path of the tool is within its reach, that what is assumed to stay above zero does
-not converge to it. None of it is computed by `verify` of a single graph: it is for intervals and for numbers that move.
+The checks are: no division by zero, positive widths of clipped terms, projection sets with an interior, stability of
+linear equations that would otherwise have further conditions, continuous paths, rigid-body loads, parameters that are
+zero, paths within reach, and assumptions that are not contradicted. `verify` of a single graph does not compute them;
+they are for intervals and for varied numbers.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from dmframe.certify.conditions import load_labels
 from dmframe.certify.contradicted import kept_above
 from dmframe.certify.divisors import domains
 from dmframe.certify.linear import stability_margin
-from dmframe.certify.memories import gathered_from_start, pivots_at_start, reads_of
+from dmframe.certify.memories import memory_start_name, pivots_at_start, reads_of
 from dmframe.certify.partial_functions import domains_of, instructions
 from dmframe.certify.positive import Signs
-from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
+from dmframe.certify.projections import ROUNDED, margin_at_start, rooms_on_path
 from dmframe.certify.reach import kept_within
 from dmframe.certify.sampler import over_horizon
 from dmframe.certify.smoothness import followed_by_numbers
@@ -44,16 +44,16 @@ from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 ROUNDING: Final = 1e-9 / 4
-"""Of a load's trace: less than the share of its largest eigenvalue that `verify` takes for rounding."""
+"""Fraction of a load's trace, less than the fraction of its largest eigenvalue that `verify` allows for rounding."""
 TINY: Final = 1e-30
-"""By which a load of nothing has pivots above zero."""
+"""Offset with which the pivots of a zero load are positive."""
 
 
 def tacit(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """All of it, as conditions that hold. Costs about as much as a part of `verify`, for pages and studies.
+    """All checks, as conditions that are met. They take as long as a part of `verify`, and are for pages and studies.
 
-    Those with a margin hold where that is above zero, but for `sufficient` ones, of which `verify` would then ask
-    something else; the others as long as what they read keeps its value.
+    A check with a margin is met if the margin is positive; if a `sufficient` margin is negative, `verify` would check
+    another condition. The other checks are met as long as the values that they depend on are unchanged.
     """
     yield from _domains(claim)
     yield from _widths(claim)
@@ -62,7 +62,7 @@ def tacit(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
 
 
 def at_one_point(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """What `verify` decides at the graph's own numbers alone, and not over its intervals."""
+    """Checks of `verify` at the graph's own numbers only, not over its intervals."""
     yield from _follows(claim, numbers)
     yield from _sets(claim)
     yield from _absent(claim, numbers)
@@ -82,17 +82,17 @@ def _held(name: Text, margin: SX | None = None, *, strict: bool = True, **others
 
 
 def _domains(claim: Claim) -> Iterator[Checked]:
-    """Divisors and arguments made of parameters alone; and those of what bounds a residual."""
+    """Divisors and arguments made of parameters only, also those in bounds of a residual."""
     for name, model in claim.diagram.models.items():
         yield from domains(name, claim.risks[name], model.moving)
     moving = symbols_in([claim.loop.state, claim.loop.time, *(leaf.symbol for leaf in claim.loop.trajectories)])
     for part in claim.parts:
         terms = [ca.SX(term.value) for term in part.certificate.residual]
-        yield from domains(f"{part.block}, what bounds its residual", list(domains_of(terms)), moving)
+        yield from domains(f"{part.block}, bounds of its residual", list(domains_of(terms)), moving)
 
 
 def _widths(claim: Claim) -> Iterator[Checked]:
-    """As `bounds_of` looks at clipped terms."""
+    """Widths of clipped terms, as checked by `bounds_of`."""
     for part in claim.parts:
         for term in part.certificate.residual:
             if isinstance(term, Clipped):
@@ -100,7 +100,7 @@ def _widths(claim: Claim) -> Iterator[Checked]:
 
 
 def _replaced(item: StableLinear) -> bool:
-    """True where its block states conditions that replace it where it does not follow."""
+    """True if its block states conditions that replace it if boundedness does not follow."""
     return not all(isinstance(condition, Assumption) for condition in item.otherwise)
 
 
@@ -114,7 +114,7 @@ def _stable(claim: Claim) -> Iterator[Checked]:
 
 
 def _follows(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """What follows at the graph's numbers follows at almost all others, or depends on them; in an interval, at zero."""
+    """Boundedness at other numbers: it follows at almost all of them, or depends on them; in an interval, at zero."""
     if not any(_replaced(item) for part in claim.parts for item in part.certificate.linear):
         return
     symbols = symbols_of(claim, numbers.uncertain)
@@ -130,7 +130,7 @@ def _follows(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             used = symbols_in(symbol for expression in own.read for symbol in ca.symvar(expression))
             given = [p.symbol for p in claim.loop.parameters if (p.label in zeros if labels else _fixed(numbers, p))]
             known = [symbol for symbol in ca.vertsplit(stack(given)) if symbol.element_hash() in used]
-            name = sentence("what {V} bounds follows at {text} too", text=text)
+            name = sentence("the bounds from {V} follow at {text} too", text=text)
             yield _held(name, reads=ca.vertcat(ca.SX(0, 1), *known))
 
 
@@ -145,7 +145,7 @@ def _holds_zero(value: Number) -> bool:
 def _lacking(
     claim: Claim, numbers: Numbers, bases: Bases, *, anywhere: bool = False, zeros: frozenset[str] = frozenset()
 ) -> list[list[str]] | None:
-    """What does not follow, or by an assumption alone; None where a denominator vanishes there."""
+    """Conclusions that fail or need an assumption; None if a denominator vanishes."""
     try:
         return _left(Closure(claim, numbers, bases, seed=0, anywhere=anywhere, zeros=zeros))
     except (ValueFault, ZeroDivision):
@@ -157,9 +157,9 @@ def _left(closure: Closure) -> list[list[str]]:
 
 
 def _sets(claim: Claim) -> Iterator[Checked]:
-    """A projection's law is the same wherever its set lies, as long as that has an inside."""
+    """Interior of projection sets: a projection's law does not depend on the location of its set."""
     for projection in claim.loop.projections:
-        name = Text(Label(projection.name), f": the {projection.kind} has an inside")
+        name = Text(Label(projection.name), f": the {projection.kind} has an interior")
         yield _held(name, _inside(projection.set), strict=not isinstance(projection.set, Box), sufficient=True)
 
 
@@ -173,7 +173,7 @@ def _inside(kept: Box | Ball | Bodies) -> SX:
 
 
 def _pivots(bodies: SX, floor: bool = False) -> list[SX]:
-    """Of the pseudo-inertia of each body; with `floor`, moved up by what is taken for rounding."""
+    """Pivots of the pseudo-inertia of each body; with `floor`, increased by the allowed rounding error."""
     found = list[SX]()
     for body in ca.vertsplit(bodies, len(INERTIAL)):
         matrix = ca.blockcat(pseudo_inertia(ca.vertsplit(body)))
@@ -183,10 +183,10 @@ def _pivots(bodies: SX, floor: bool = False) -> list[SX]:
 
 
 def _absent(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """The identity was tested with the plant's zeros as zeros: `symbols_of`."""
+    """Parameters of the plant that are zero in the identity test: `symbols_of`."""
     for group in symbols_of(claim, numbers.uncertain).groups:
         if group.kind == "parameter" and group.values is not None and not any(group.values):
-            name = Text(Label(group.label), " is zero, as the proof takes it")
+            name = Text(Label(group.label), " is zero, as in the proof")
             yield _held(name, reads=ca.vec(group.symbol))
 
 
@@ -196,30 +196,30 @@ def _paths(claim: Claim) -> Iterator[Checked]:
 
 
 def _loads(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """That a load which a mass matrix holds is a body."""
+    """A load in a mass matrix is a rigid body."""
     for label in load_labels(claim):
         (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
         pieces, rest = pieces_of(claim, numbers, claim.loop.on_path(leaf.symbol))
         if pieces:
             name = Text(Label(label), " is the inertia of a rigid body")
             yield _held(name, ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True)), sufficient=True)
-        yield _held(Text(Label(label), " changes when it does in the graph"), reads=rest)
+        yield _held(Text(Label(label), " changes at the same times as in the graph"), reads=rest)
 
 
 def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """That a true value which a source gives lies in the set of its estimate."""
+    """A true value from a source lies in the set of its estimate."""
     for name, room in rooms_on_path(claim, numbers):
         pieces, rest = pieces_of(claim, numbers, room)
         if pieces:
-            yield _held(Text(name, ", as a source has it"), ca.vertcat(*pieces) + ROUNDED, strict=False)
-        yield _held(Text(name, " changes when it does in the graph"), reads=rest)
+            yield _held(Text(name, ", for the values of a source"), ca.vertcat(*pieces) + ROUNDED, strict=False)
+        yield _held(Text(name, " changes at the same times as in the graph"), reads=rest)
 
 
 def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX], SX]:
-    """A function of time that is constant between steps, on each of its pieces, and what these depend on.
+    """A piecewise constant function of time on each of its pieces, and the parameters of the switching instants.
 
-    No piece, and all its parameters, where it moves between steps. Pieces that are passed within the step of the
-    instants at which `verify` looks are none to it either.
+    Without a piece, all its parameters, if it varies between steps. Pieces shorter than the sampling interval of
+    `verify` are ignored, as by `verify`.
     """
     loop, expression = claim.loop, ca.densify(expression)
     slope = ca.jacobian(expression, loop.time)
@@ -236,27 +236,27 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
 
 
 def _starts(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """Requirements of `verify` on a start with a known number."""
+    """Requirements of `verify` on a numeric initial value."""
     for projection in claim.loop.projections:
         yield _started(projection, numbers)
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
             if isinstance(term, InformationSquare):
-                yield _gathers(gathered_from_start(part, term), term.memory, numbers)
+                yield _memory_start(memory_start_name(part, term), term.memory, numbers)
             if isinstance(term, LogDet):
                 begun = pivots_at_start(claim, numbers, {}, term.matrix)
                 name = Text(f"{part.block}: ", term.of, " starts positive definite")
                 yield _held(name, ca.SX(0, 1), begun=begun)
     for variable in claim.loop.variables:
         if variable.label in claim.memories:
-            yield _gathers(Text(f"{variable.block}: start of ", name_of(variable.name)), variable.symbol, numbers)
+            yield _memory_start(Text(f"{variable.block}: start of ", name_of(variable.name)), variable.symbol, numbers)
 
 
 def _started(projection: Projection, numbers: Numbers) -> Checked:
-    begun = begun_in(projection, numbers, {})
+    begun = margin_at_start(projection, numbers, {})
     name = Text(Label(projection.name), f": starts inside the {projection.kind}")
     return _held(name, ca.SX(0, 1), strict=False, begun=begun)
 
 
-def _gathers(name: Text, memory: SX, numbers: Numbers) -> Checked:
+def _memory_start(name: Text, memory: SX, numbers: Numbers) -> Checked:
     return _held(name, reads=reads_of(numbers, {}, memory))

@@ -1,4 +1,4 @@
-"""What each estimate estimates, as numbers: what the blocks declare, and what their certificates say."""
+"""True values of the estimates, as numbers: declared by blocks, and stated by their certificates."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from dmframe.diagram import Diagram
 
 
 def estimated(diagram: Diagram, *, resting: bool = False) -> dict[str, SX | None]:
-    """The estimates, by state label, each with what it estimates as an expression in the diagram's parameters.
+    """The estimates, by state label, each with its true value as an expression in the diagram's parameters.
 
-    None stands for a true value that is no function of parameters alone, and for all of a diagram that claims nothing.
-    Where the loop is `resting`, unknown constants, such as the start of an integrator, are taken as zero.
+    None for a true value that depends on more than parameters, and for all estimates of a diagram without a claim. With
+    `resting`, unknown constants, such as the initial value of an integrator, are zero.
     """
     loop, found = diagram.loop, dict[str, SX | None]()
     known = loop.constants
@@ -55,5 +55,5 @@ def estimates_of(diagram: Diagram, *, resting: bool = False) -> dict[str, np.nda
 
 
 def true_values(diagram: Diagram, *, resting: bool = False) -> dict[str, np.ndarray]:
-    """What each estimate estimates, of those of which it is known."""
+    """Known true values of the estimates."""
     return {label: value for label, value in estimates_of(diagram, resting=resting).items() if value is not None}

@@ -14,12 +14,13 @@ from dmframe.robot.rational import decimal
 
 
 def intervals(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, list[Interval]]:
-    """A graph's key ``uncertain``, ``{servo.K_D: [600, 1000]}``, as one interval an element.
+    """A graph's key ``uncertain``, ``{servo.K_D: [600, 1000]}``, as one interval per element.
 
     Raises
     ------
     DmframeError
-        A name that is no parameter of the plant; a value that is no interval, or leaves out the graph's own number.
+        A name that is not a parameter of the plant; a value that is not an interval, or excludes the graph's own
+        number.
     """
     found, faults = dict[str, list[Interval]](), list[DmframeError]()
     known = {

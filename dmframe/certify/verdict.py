@@ -1,4 +1,4 @@
-"""The outcome of ``verify``, with everything it rests on."""
+"""Result of ``verify``, with all data that it depends on."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ from dmframe.certify.explained import UNCHECKED
 from dmframe.certify.residual import Bound, total_bound
 from dmframe.certify.small_gain import Kappa
 from dmframe.certify.statements import Statement, States
-from dmframe.certify.states import held_in_v
+from dmframe.certify.states import states_in_v
 from dmframe.common.errors import listed
 from dmframe.common.text import Text
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import as_float
 from dmframe.prove import claim as data
-from dmframe.prove.faults import Control
+from dmframe.prove.faults import InjectedFault
 from dmframe.prove.refute import Refutation
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
 NAMED: Final = 3
-"""States up to which a headline names them; of more it gives the number, and the text below the names."""
+"""Largest number of states that a headline lists by name; otherwise it gives their number, and the text the names."""
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class Verdict:
-    """The outcome of `verify`, with everything it rests on.
+    """Result of `verify`, with all data that it depends on.
 
     Parameters
     ----------
     outcome
-        ``proved``: the identity holds for all values of its symbols, every condition holds at the graph's numbers, and
-        every seeded fault was refuted; where there are `bounds`, it is proved up to a bounded residual.
-        ``refuted``: the identity is false. ``not_applicable``: there is nothing to prove, or a condition fails;
-        `reason` says which.
+        ``proved``: the identity holds for all values of its symbols, every condition is met at the graph's numbers, and
+            every seeded fault was refuted; with `bounds`, it is proved up to a bounded residual. ``refuted``: the
+            identity is false. ``not_applicable``: there is nothing to prove, or a condition fails; `reason` gives the
+            reason.
     test
         The exact test, with its error bound.
     states
-        Which states are bounded, and which are not known to be; over samples too.
+        States that are bounded, and states that are not known to be.
     fixed
-        Parameters that are zero in the graph, and that the proof takes for zero, by label.
+        Parameters that are zero in the graph and in the proof, by label.
     uncertain
-        Parameters over whose intervals the conditions hold, by label.
+        Parameters with intervals over which the conditions are met, by label.
     bounds
-        What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
+        Bounds on the residual of dV/dt, term by term; none for a claim without a residual.
     build, check
-        Seconds spent on writing V and dV/dt, and on deciding.
+        Seconds for writing V and dV/dt, and for the decisions.
     exact
-        The claim as data, of which `test`, `controls` and `refutation` speak; `dmframe.prove.export.to_json` writes it.
+        The claim as data, to which `test`, `controls` and `refutation` refer; `dmframe.prove.export.to_json` writes it.
     """
 
     outcome: Outcome
@@ -64,7 +64,7 @@ class Verdict:
     kappa: Kappa | None = None
     conditions: tuple[Checked, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
-    controls: tuple[Control, ...] = ()
+    controls: tuple[InjectedFault, ...] = ()
     statements: tuple[Statement, ...] = ()
     states: States | None = None
     fixed: tuple[str, ...] = ()
@@ -76,22 +76,22 @@ class Verdict:
 
     @property
     def flow_claim(self) -> Claim | None:
-        """The claim, where it is in continuous time."""
+        """The claim, if it is in continuous time."""
         return self.claim if self.claim is not None and not self.claim.over_samples else None
 
     @property
     def samples(self) -> Claim | None:
-        """The claim, where it is over samples."""
+        """The claim, if it is in discrete time."""
         return self.claim if self.claim is not None and self.claim.over_samples else None
 
     @property
     def rows_assumed(self) -> bool:
-        """True where an estimator's rows could not be compared with motions of the plant."""
+        """True if an estimator's rows could not be compared with motions of the plant."""
         return any(UNCHECKED in item.text for item in self.assumptions)
 
     @property
     def headline(self) -> str:
-        """The outcome in words, with what a proof does not reach."""
+        """The result in words, with the limits of the proof."""
         words = self.outcome.replace("_", " ")
         if self.outcome == "proved" and self.samples is not None:
             words += f" over samples of {_over(self.samples, self.states)}"
@@ -105,7 +105,7 @@ class Verdict:
 
     @property
     def residual_bound(self) -> float | None:
-        """The most that dV/dt can be above minus the dissipation; None where a signal scales it, and over samples."""
+        """Bound on dV/dt above minus the dissipation; None if a signal scales it, and in discrete time."""
         if self.samples is not None:
             return None
         return total_bound(list(self.bounds), as_float(self.kappa.chosen) if self.kappa else 1.0)
@@ -115,8 +115,8 @@ class Verdict:
 
 
 def _over(claim: Claim, states: States | None) -> str:
-    """Of which states something is proved over samples, up to what, and of which nothing is."""
-    held, left = held_in_v(claim), [] if states is None else list(states.open)
+    """States to which a discrete-time proof applies, its residual, and states that are not analysed."""
+    held, left = states_in_v(claim), [] if states is None else list(states.open)
     words = _counted(held, "states") + f", up to {claim.left}" * bool(claim.left)
     if left:
         many = "states" if set(held) & set(left) else "other states"
@@ -125,5 +125,5 @@ def _over(claim: Claim, states: States | None) -> str:
 
 
 def _counted(labels: Sequence[str], many: str) -> str:
-    """Their names, or how many they are."""
+    """Names, or their number if there are many."""
     return listed(list(labels)) if len(labels) <= NAMED else f"{len(labels)} {many}"

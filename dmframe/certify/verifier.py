@@ -1,11 +1,11 @@
-"""``verify``: prove a diagram's claim, refute it, or say why there is none."""
+"""``verify``: prove a diagram's claim, refute it, or give the reason why it has none."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from hashlib import sha256
 from typing import Any, Final, final
 
@@ -20,7 +20,7 @@ from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.contradicted import contradicted
 from dmframe.certify.discrete import discrete_assumptions, discrete_conditions, discrete_statements
-from dmframe.certify.explained import explained
+from dmframe.certify.explained import Compared, compared, explained
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.positive import Signs
@@ -40,11 +40,11 @@ from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
 from dmframe.prove.export import digest
-from dmframe.prove.faults import Control, inject_faults
-from dmframe.prove.identity import Points, empty, together
-from dmframe.prove.reals import doubt
+from dmframe.prove.faults import InjectedFault, inject_faults
+from dmframe.prove.identity import Points, combined, empty
+from dmframe.prove.reals import why_not_refuted
 from dmframe.prove.refute import Refutation, refute
-from dmframe.prove.sound import hold_sound
+from dmframe.prove.sound import require_sound
 
 LONG: Final = 2000
 """Operations of a diagram from which on a proof takes longer than a copy of the process."""
@@ -76,20 +76,31 @@ def verify(
         Copies of this process do a part of the work of a large diagram, if there are other cores.
     """
     clock, alone = _Clock(), not copies or _size(diagram) < LONG
-    with shared([partial(unsteady, diagram)], busy=True, small=alone) as finished:
+    tried: list[Callable[[], str | None]] = [partial(unsteady, diagram), partial(_tried_units, diagram)]
+    with shared(tried, busy=True, small=alone) as finished:
         try:
             found = _verified(diagram, trials, seed, uncertain or {}, start or {}, clock, alone)
         except NotApplicableError as error:
             found = Verdict("not_applicable", Text(error.text), build=clock.build, check=clock.check)
-        (number,) = finished()
+        number, units = finished()
     if number:
         return Verdict("not_applicable", Text(number), build=clock.build, check=clock.check)
+    if found.outcome == "proved" and (units := _unit_faults(diagram) if units is None else units):
+        return replace(found, outcome="not_applicable", reason=Text(f"the units do not agree: {units}"))
     return found
 
 
 def _size(diagram: Diagram) -> int:
     """Operations of all blocks' equations."""
     return sum(ca.n_nodes(x) for model in diagram.models.values() for x in model.equations.expressions)
+
+
+def _tried_units(diagram: Diagram) -> str | None:
+    """`_unit_faults`; None if equations are ill-formed, of which no claim is proved."""
+    try:
+        return _unit_faults(diagram)
+    except Exception:  # of CasADi or of a block
+        return None
 
 
 def _unit_faults(diagram: Diagram) -> str:
@@ -154,36 +165,38 @@ def _verified(
     def refuted(test: ZeroTest) -> Verdict:
         test = replace(test, seed=own)
         of = "what a sample does" if claim.over_samples else DV
-        if reason := doubt(exact, seed, of):
+        if reason := why_not_refuted(exact, seed, of):
             return ends("not_applicable", reason, test=test)
         refutation = refute(exact, seed=seed)
         blame = _blame(claim, refutation, [] if claim.over_samples else remedies(claim, numbers))
         return ends("refuted", blame, test=test, refutation=refutation)
 
-    find = _in_discrete_time if examiner is None else partial(_in_continuous_time, examiner=examiner)
+    rows = [(part, item) for part in claim.parts for item in part.certificate.steps] if examiner is None else []
     try:
-        hold_sound(exact)
+        require_sound(exact)
         points = Points.of(exact, seed=seed)
         first = points.at(0)
         if not first.zero:
             return refuted(first)
-        jobs: list[Callable[[], Any]] = [partial(inject_faults, exact, seed=seed)]
-        jobs += [*(partial(points.at, k) for k in range(1, trials)), partial(_unit_faults, diagram)]
-        jobs.append(partial(empty, exact, seed))
+        jobs: list[Callable[[], Any]] = [partial(compared, claim, *row, seed) for row in rows]
+        jobs += [partial(inject_faults, exact, seed=seed), partial(empty, exact, seed)]
+        jobs += [partial(points.at, k) for k in range(1, trials)]
         with shared(jobs, busy=True, small=alone) as finished:
-            found = find(claim, symbols, numbers, start, seed)
-            controls, *others, units, nothing = finished()
+            done = cache(finished)
+            if examiner is None:
+                found = _in_discrete_time(claim, symbols, numbers, start, seed, lambda: done()[: len(rows)])
+            else:
+                found = _in_continuous_time(claim, symbols, numbers, start, seed, examiner)
+            controls, nothing, *others = done()[len(rows) :]
     except ValueFault as error:
         return undefined(error)
-    test = replace(together([first, *others]), seed=own)
+    test = replace(combined([first, *others]), seed=own)
     if not test.zero:
         return refuted(test)
     if found.fault:
         return ends("not_applicable", found.fault, test=test)
     conditions = found.conditions if found.undefined else tuple(over_intervals(list(found.conditions), claim, numbers))
     outcome, reason = _judge(claim, conditions, controls, () if found.undefined else nothing, found.bounds)
-    if outcome == "proved" and units:
-        outcome, reason = "not_applicable", Text(f"the units do not agree: {units}")
     if found.undefined:
         return ends(outcome, reason, test=test, conditions=conditions)
     return ends(
@@ -220,7 +233,7 @@ class _Found:
 
 
 def _in_continuous_time(
-    claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int, *, examiner: Examiner
+    claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int, examiner: Examiner
 ) -> _Found:
     signs = Signs(claim, numbers)
     conditions, assumptions = conditions_of(claim, numbers, start)
@@ -247,15 +260,20 @@ def _in_continuous_time(
     return _Found(tuple(conditions), assumed, tuple(statements), states_of(claim, closure), bounds)
 
 
-def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int) -> _Found:
-    rows = [explained(claim, part, item, seed) for part in claim.parts for item in part.certificate.steps]
-    conditions, assumptions = sorted_out([*discrete_conditions(claim, numbers, start), *rows])
-    return _Found(
-        (*conditions, *reach_conditions(claim)),
-        (*assumptions, *discrete_assumptions(claim, symbols, seed)),
-        tuple(discrete_statements(claim)),
-        sampled_states(claim, numbers, seed),
-    )
+def _in_discrete_time(
+    claim: Claim,
+    symbols: Symbols,
+    numbers: Numbers,
+    start: Mapping[str, Any],
+    seed: int,
+    rows: Callable[[], Sequence[Compared | Assumption]],
+) -> _Found:
+    stated = list(discrete_conditions(claim, numbers, start))
+    assumed = tuple(discrete_assumptions(claim, symbols, seed))
+    statements, states = tuple(discrete_statements(claim)), sampled_states(claim, numbers, seed)
+    reached = tuple(reach_conditions(claim))
+    conditions, assumptions = sorted_out([*stated, *(explained(claim, item) for item in rows())])
+    return _Found((*conditions, *reached), (*assumptions, *assumed), statements, states)
 
 
 def drawn(claim: data.Claim, fingerprint: str, seed: int) -> int:
@@ -265,7 +283,7 @@ def drawn(claim: data.Claim, fingerprint: str, seed: int) -> int:
 
 
 def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[Text]) -> Text:
-    says, where = refutation.says, ", ".join(refutation.blame)
+    says, where = refutation.statement, ", ".join(refutation.blame)
     if lacking:
         return Text(DV if says == DV.text else says, " is not what the blocks claim; ", joined(lacking, "; "))
     if claim.over_samples:
@@ -287,7 +305,7 @@ def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[Text]) -> Tex
 def _judge(
     claim: Claim,
     conditions: Sequence[Checked],
-    controls: Sequence[Control],
+    controls: Sequence[InjectedFault],
     empty: Sequence[str],
     bounds: Sequence[Bound],
 ) -> tuple[Outcome, Text]:

@@ -31,11 +31,13 @@ from dmframe.cli.arguments import (
 )
 from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
 from dmframe.cli.experiment import experiment
+from dmframe.cli.groups import GroupedCommands
 from dmframe.cli.identify import identify
 from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
+from dmframe.cli.which import which
 from dmframe.common.errors import DmframeError
 from dmframe.common.files import check_place
 
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="dmframe",
+    cls=GroupedCommands,
     help="Controllers for robots whose joint servo is closed: written as graphs, simulated, drawn and proved.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -73,7 +76,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (study, tune, race, graphs, robots, new):
+for command in (study, tune, race, which, graphs, robots, new):
     app.command()(command)
 
 
@@ -121,7 +124,8 @@ def run(
     ] = None,
     overrides: Overrides = NOTHING,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder of the results; new or empty."),
     ] = None,
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     reality: Annotated[
@@ -195,7 +199,13 @@ def analyse(
     overrides: Overrides = NOTHING,
     horizon: Annotated[
         str | None,
-        typer.Option(metavar="S", help="Length of the runs in the search for the period.", show_default=HORIZON),
+        typer.Option(
+            "--until",
+            "--horizon",
+            metavar="S",
+            help="Length of the runs in the search for the period.",
+            show_default=HORIZON,
+        ),
     ] = None,
     rank: Rank = False,
     tube: Tube = None,
@@ -215,7 +225,7 @@ def analyse(
     if rank:
         from dmframe.cli.rank import rank_of
 
-        refuse({"--horizon": horizon}, "it has no effect with --rank; leave one out")
+        refuse({"--until": horizon}, "it has no effect with --rank; leave one out")
         options: dict[str, Any] = {key: word for key, word in words.items() if word is not None}
         if least is not None:
             options["least"] = quantity("--least", least, "")
@@ -229,7 +239,7 @@ def analyse(
     refuse({f"--{key}": value for key, value in given.items()}, "it has no effect without --rank; add that")
     analyse_graph(
         one_graph(graph, overrides, trust=trust),
-        horizon=quantity("--horizon", horizon or HORIZON, "s"),
+        horizon=quantity("--until", horizon or HORIZON, "s"),
         as_json=as_json,
     )
     return 0

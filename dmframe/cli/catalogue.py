@@ -58,6 +58,9 @@ def new(
         ),
     ],
     file: Annotated[Path | None, typer.Argument(callback=home, help="The new file; NAME.yaml without it.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FILE", callback=home, help="The new file, as an option.")
+    ] = None,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="Tool frame of the robot; default: flange.")] = None,
     hold: Annotated[
         list[str],
@@ -72,8 +75,9 @@ def new(
     from dmframe.graph.first import first_graph, is_robot
     from dmframe.robot.library import robots as packaged_robots
 
+    refuse({"--out": out if file is not None else None}, "the new file is given twice; leave one out")
     known, notes = packaged(), tuple[str, ...]()
-    target = file or Path(f"{Path(name).name.partition('.')[0]}.yaml")
+    target = file or out or Path(f"{Path(name).name.partition('.')[0]}.yaml")
     if name in known:
         refuse({"--tool": tool is not None, "--hold": bool(hold)}, "a packaged graph has its own; name a robot")
         text = known[name].read_text(encoding="utf-8")

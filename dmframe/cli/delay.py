@@ -26,5 +26,5 @@ def delay_of(graph: Graph, *, duration: float, as_json: bool) -> int:
         tell(f"{graph.name}: {found}")
     else:
         tell(f"{graph.name}: {found}")
-        tell(f"to use it, under blocks, of each block that has this parameter: delay: {found.whole}")
+        tell(f"to use it, set in each block with this parameter: delay: {found.whole}")
     return NOT_FOUND if found.refused else 0

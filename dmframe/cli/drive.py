@@ -46,7 +46,7 @@ def drive_graph(
 
     Signals are stored and polled at each sample, so that the robot stops in a controlled way.
     """
-    graph = graph if seconds is None else graph.until(time_of("--seconds", seconds))
+    graph = graph if seconds is None else graph.until(time_of("--until", seconds))
     _ = graph.diagram
     given = _options(ramp, patience, payload)
     if kind_of(robot)[0].real:
@@ -117,7 +117,7 @@ def rehearse_graph(
     from dmframe.drive.records import store
 
     _ = graph.diagram
-    until = None if seconds is None else time_of("--seconds", seconds)
+    until = None if seconds is None else time_of("--until", seconds)
     found = graph.rehearse(until, limits=limits, **_options(ramp, patience, payload))
     kept = store(found)
     if as_json:

@@ -18,12 +18,13 @@ def experiment(
         typer.Argument(help="A robot's name, a URDF, xacro or MJCF file, or a graph.", autocompletion=robot_names),
     ],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder for the CSV, the graph and the script.")
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder for the CSV, the graph and the script."),
     ] = None,
     period: Annotated[
         str | None, typer.Option(metavar="S", help="Sampling period; default: the graph's clock, or 8 ms.")
     ] = None,
-    seconds: Annotated[str, typer.Option(metavar="S", help="Duration, 6 to 30 s.")] = "20",
+    seconds: Annotated[str, typer.Option("--until", "--seconds", metavar="S", help="Duration, 6 to 30 s.")] = "20",
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the steps.")] = "0",
     start: Annotated[
         str | None, typer.Option(metavar="Q1,Q2,...", help="Start posture; default: the graph's, or a dexterous one.")
@@ -49,7 +50,7 @@ def experiment(
             robot,
             out=out,
             period=None if period is None else quantity("--period", period, "s"),
-            seconds=quantity("--seconds", seconds, "s"),
+            seconds=quantity("--until", seconds, "s"),
             seed=whole("--seed", seed),
             start=posture,
             limits=limits,

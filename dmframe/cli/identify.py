@@ -23,7 +23,7 @@ def identify(
         list[str], typer.Option(metavar="NAME=COLUMN", help="The column of a signal: q_1=shoulder; may be repeated.")
     ] = NOTHING,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder for report.html and files.")
+        Path | None, typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder for report.html and files.")
     ] = None,
     no_verdict: Annotated[
         bool,

@@ -26,7 +26,7 @@ def race(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", callback=home, help="Folder of the results; default: races/NAME."),
+        typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder of the results; default: races/NAME."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the table as a JSON list.")] = False,
     trust: Trust = False,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from dmframe.cli.arguments import NOTHING, AsJson, FigureFormats, LimitsFile, OneGraph, Overrides, Trust, home
 from dmframe.cli.streams import tell
-from dmframe.common.errors import MissingError
+from dmframe.common.errors import MissingError, listed
+from dmframe.export import TARGETS
 
 Ramp = Annotated[
     str | None, typer.Option(metavar="S", help="Acceleration time of the first motion; 0 for sim, else 1 s.")
@@ -22,7 +25,10 @@ Patience = Annotated[
 def rehearse(
     graph: OneGraph,
     seconds: Annotated[
-        str | None, typer.Option(metavar="S", help="Duration of each run; default: that of the graph, 40 s at most.")
+        str | None,
+        typer.Option(
+            "--until", "--seconds", metavar="S", help="Duration of each run; default: that of the graph, 40 s at most."
+        ),
     ] = None,
     payload: Annotated[
         str | None,
@@ -58,7 +64,8 @@ def drive(
         ),
     ],
     seconds: Annotated[
-        str | None, typer.Option(metavar="S", help="Reference time; default: the duration of the graph.")
+        str | None,
+        typer.Option("--until", "--seconds", metavar="S", help="Reference time; default: the duration of the graph."),
     ] = None,
     limits: LimitsFile = None,
     ramp: Ramp = None,
@@ -72,7 +79,8 @@ def drive(
     ] = False,
     overrides: Overrides = NOTHING,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder of the results; new or empty."),
     ] = None,
     figures: FigureFormats = "svg",
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
@@ -121,25 +129,50 @@ def replay(
 
 def export(
     graph: OneGraph,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder.", callback=home)],
+    folder: Annotated[Path | None, typer.Argument(metavar="OUT", help="A new folder.", callback=home)] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="DIR", callback=home, help="The new folder, as an option.")
+    ] = None,
     overrides: Overrides = NOTHING,
-    c: Annotated[bool, typer.Option("--c", help="The controller as C99, with an example and a test.")] = False,
-    fmi2: Annotated[bool, typer.Option("--fmi2", help="Controller and robot as units of FMI 2.0.")] = False,
-    fmi3: Annotated[bool, typer.Option("--fmi3", help="Controller and robot as units of FMI 3.0.")] = False,
-    ros2: Annotated[
-        bool, typer.Option("--ros2", help="A package with a controller of ros2_control; never run in ROS 2.")
-    ] = False,
     trust: Trust = False,
+    **targets: bool,
 ) -> None:
     """Export the controller of a graph for other programs."""
     from dmframe.cli.graphs import one_graph
+    from dmframe.cli.options import refuse
 
-    kinds: dict[Literal["c", "fmi2", "fmi3", "ros2"], bool] = {"c": c, "fmi2": fmi2, "fmi3": fmi3, "ros2": ros2}
-    chosen = [kind for kind, wanted in kinds.items() if wanted]
+    refuse({"--out": out if folder is not None else None}, "the new folder is given twice; leave one out")
+    place = folder or out
+    if place is None:
+        raise MissingError("expected a new folder: dmframe export GRAPH OUT, or --out OUT")
+    chosen = [name for name, wanted in targets.items() if wanted]
     if len(chosen) != 1:
-        raise MissingError(f"expected one of --c, --fmi2, --fmi3 and --ros2, found {len(chosen) or 'none'}")
-    files = one_graph(graph, overrides, trust=trust).export(out, chosen[0])
-    tell(f"wrote {out}: {', '.join(file.name for file in files)}")
+        raise MissingError(f"expected one of {_options()}, found {len(chosen) or 'none'}")
+    files = one_graph(graph, overrides, trust=trust).export(place, chosen[0])
+    tell(f"wrote {place}: {', '.join(file.name for file in files)}")
+
+
+def _options() -> str:
+    return listed([f"--{name}" for name in TARGETS])
+
+
+def _with_targets(function: Callable[..., None]) -> Signature:
+    """The signature of a function with an option for each target, which typer reads."""
+    *named, _ = signature(function, eval_str=True).parameters.values()
+    own = [
+        Parameter(
+            name,
+            Parameter.KEYWORD_ONLY,
+            default=False,
+            annotation=Annotated[bool, typer.Option(f"--{name}", help=target.about)],
+        )
+        for name, target in TARGETS.items()
+    ]
+    *first, trust = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in named]
+    return Signature([*first, *own, trust])
+
+
+export.__signature__ = _with_targets(export)  # type: ignore[attr-defined]  # functions of Python have no such field
 
 
 def robot(

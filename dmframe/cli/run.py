@@ -25,7 +25,7 @@ from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled
-from dmframe.remembered.conclusions import adopt, keep, recalled, watched
+from dmframe.remembered.conclusions import keep, recalled
 from dmframe.remembered.recorder import current, end, paused
 from dmframe.results.decided import Decided
 from dmframe.results.drawing_process import drawing
@@ -193,13 +193,11 @@ def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> tuple[list[Run], Se
         for run, kept in zip(runs, known, strict=True):
             run.decide(Decided.read(kept["V"]))
         return [run.noticed(*kept["doubts"]) for run, kept in zip(runs, known, strict=True)], ()
-    judging = [
-        partial(watched, partial(doubts, graph, run.recording)) for run, graph in zip(runs, graphs, strict=False)
-    ]
+    judging = [partial(doubts, graph, run.recording) for run, graph in zip(runs, graphs, strict=False)]
     with shared(judging, busy=True) as finished:
         for run in runs:
             _ = run.notices
-        notes = [adopt(found) for found in finished()]
+        notes = finished()
     judged = [run.noticed(*texts) if texts else run for run, texts in zip(runs, notes, strict=True)]
     return judged, _conclusions(runs, notes) if regular and current() is not None else ()
 

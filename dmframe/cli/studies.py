@@ -16,7 +16,8 @@ def study(
         list[str],
         typer.Argument(
             metavar="[report] FILE",
-            help="A study file, or the folder of a study's results; report DIR rewrites the report of that folder.",
+            help="A study file, a graph with uncertain intervals, or the folder of a study's results; report DIR "
+            "rewrites the report of that folder.",
         ),
     ],
     workers: Annotated[
@@ -27,7 +28,7 @@ def study(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", callback=home, help="Folder of the results; default: studies/NAME."),
+        typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder of the results; default: studies/NAME."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned runs and their time.")] = False,
     rerun: Annotated[
@@ -76,7 +77,9 @@ def tune(
     study: Annotated[str, typer.Argument(metavar="STUDY", help="A study file with a section tune.")],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", callback=home, help="Folder of the search; an existing search continues."),
+        typer.Option(
+            "-o", "--out", metavar="DIR", callback=home, help="Folder of the search; an existing search continues."
+        ),
     ] = None,
     trials: Annotated[
         str | None, typer.Option(metavar="N", help="Total number of trials; default: that of the file.")

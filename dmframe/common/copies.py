@@ -11,9 +11,26 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar, final
+from typing import Any, Final, Generic, Protocol, TypeVar, final
 
 T = TypeVar("T")
+
+
+class Watcher(Protocol):
+    """Notes what this process reads."""
+
+    def start_in_copy(self) -> None:
+        """Start to note in a forked process."""
+
+    def noted(self) -> Any:
+        """What the forked process noted since the last call; it can be pickled."""
+
+    def adopt(self, noted: Any) -> None:
+        """Note in this process what a forked one noted."""
+
+
+watchers: Final = list[Watcher]()
+"""The last one notes; what jobs of a forked process read is handed to it together with their results."""
 
 _MOST = 200
 """Largest number of jobs; their numbers are bytes in a pipe."""
@@ -177,8 +194,10 @@ class _Copy:
         with suppress(OSError, EOFError, pickle.UnpicklingError), open(self.memory, "rb", closefd=False) as file:
             file.seek(0)
             while True:
-                number, result = pickle.load(file)
+                number, result, noted = pickle.load(file)
                 found[number] = result
+                for watcher in watchers[-1:]:
+                    watcher.adopt(noted)
         return found
 
     def end(self) -> None:
@@ -215,9 +234,12 @@ def _work(jobs: Sequence[Callable[[], Any]], numbers: int, memory: int, parent: 
     """In the fork: take jobs while there are some and the parent lives; exit without cleanup handlers."""
     status = 1
     try:
+        for watcher in watchers[-1:]:
+            watcher.start_in_copy()
         with open(memory, "wb", buffering=0, closefd=False) as file:
-            for done in _taken(jobs, numbers, lambda: os.getppid() == parent):
-                file.write(pickle.dumps(done))
+            for number, result in _taken(jobs, numbers, lambda: os.getppid() == parent):
+                noted = watchers[-1].noted() if watchers else None
+                file.write(pickle.dumps((number, result, noted)))
         status = 0
     finally:
         os._exit(status)

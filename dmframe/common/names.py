@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from keyword import iskeyword
 from typing import Final, NamedTuple, final
 
 
@@ -27,6 +28,8 @@ LETTERS: Final = {
     for name, letter in zip(names.split(), letters, strict=True)
 }
 """Greek letters, by their names in code and LaTeX."""
+
+_NAMES: Final = {letter: name for name, letter in LETTERS.items()}
 
 ACCENTS: Final = {"hat": "hat", "bar": "bar", "err": "tilde"}
 """Words of a name that stand above its letter, by their LaTeX."""
@@ -60,11 +63,16 @@ class Symbol:
 
 @cache
 def symbol(name: str) -> Symbol:
-    """Take a name apart. A name of words alone, ``maker_gravity``, stays one word."""
+    """Take a name apart. A name of words alone, ``maker_gravity``, stays one word.
+
+    A Greek letter is its name, and the underscore that makes a name of Python's keyword ``lambda`` is not printed.
+    """
     start = name.endswith(_START)
     if "." in name:  # the label of a signal
         return Symbol(name)
-    head, *tail = name.removesuffix(_START).split("_")
+    plain = name.removesuffix(_START)
+    head, *tail = (plain.removesuffix("_") if iskeyword(plain.removesuffix("_")) else plain).split("_")
+    head = _NAMES.get(head, head)
     above = [ACCENTS[word] for word in tail if word in ACCENTS]
     below = tuple(word for word in tail if word not in ACCENTS)
     dots = re.match(r"d{1,2}", head)

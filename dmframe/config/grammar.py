@@ -186,7 +186,8 @@ class GraphFile(Section):
         "{parameter: value}}; none for the ideal channel",
     )
     uncertain: dict[str, Any] = Field(
-        {}, description="intervals of true parameters that are not known exactly, {servo.K_D: [600, 1000]}; for verify"
+        {},
+        description="intervals of true parameters not known exactly, {servo.K_D: [600, 1000]}; for verify and study",
     )
 
 

@@ -43,14 +43,14 @@ class _Link:
         factor, pivots = ldl(matrix(self.nominal))
         return factor @ ca.diag(ca.sqrt(ca.vertcat(*pivots)))
 
-    def seen(self, a: SX) -> SX:
+    def transformed(self, a: SX) -> SX:
         """Change of Z due to a change of the parameters, or its rate."""
         half = ca.solve(self.root, matrix(a))
         return ca.solve(self.root, half.T)
 
     def at(self, a: SX) -> SX:
         """Z."""
-        return self.seen(a) - self.share * ca.SX.eye(4)
+        return self.transformed(a) - self.share * ca.SX.eye(4)
 
     def parameters(self, X: SX) -> SX:
         """Change of the parameters that changes Z by X."""
@@ -92,14 +92,14 @@ class Bodies:
         for link, a, rate in zip(self._links(), _split(state, self._size), _split(nominal, self._size), strict=True):
             values, V = eigen(link.at(a))
             out = ca.if_else(values <= RIM, 1, 0)
-            across = (out @ out.T) * (V.T @ link.seen(rate) @ V)
+            across = (out @ out.T) * (V.T @ link.transformed(rate) @ V)
             found.append(link.parameters(V @ positive_part(-across) @ V.T))
-        return self._whole(found, state)
+        return self._all_estimates(found, state)
 
     def held(self, state: SX) -> SX:
         """Projection onto the set in the metric of the nominal parameters."""
         pairs = zip(self._links(), _split(state, self._size), strict=True)
-        return state + self._whole([link.parameters(positive_part(-link.at(a))) for link, a in pairs], state)
+        return state + self._all_estimates([link.parameters(positive_part(-link.at(a))) for link, a in pairs], state)
 
     def room(self, truth: SX) -> SX:
         """Expressions that are non-negative if and only if the point is in the set.
@@ -137,7 +137,7 @@ class Bodies:
     def _links(self) -> Iterator[_Link]:
         return (_Link(nominal, self.share) for nominal in _split(self.nominal, self._size))
 
-    def _whole(self, links: Sequence[SX], state: SX) -> SX:
+    def _all_estimates(self, links: Sequence[SX], state: SX) -> SX:
         """A column of all estimates, with zeros for those that belong to no link."""
         return ca.densify(ca.vertcat(*links, ca.SX.zeros(state.numel() - self._size)))
 

@@ -53,16 +53,16 @@ def _led(resolver: Resolver) -> Iterator[tuple[str, str]]:
         if port.endswith("_d") and isinstance(goal, Wire) and isinstance(actual, Wire):
             sides = resolver.models[actual.block].block.side, resolver.models[goal.block].block.side
             if sides == (Side.PLANT, Side.CONTROLLER):
-                true = _behind(resolver, actual)  # not the sensor that replaces it
+                true = _replaced_signal(resolver, actual)  # not the sensor that replaces it
                 yield f"{true.block}.{true.port}", f"{goal.block}.{goal.port}"
 
 
-def _behind(resolver: Resolver, wire: Wire) -> Wire:
+def _replaced_signal(resolver: Resolver, wire: Wire) -> Wire:
     """The signal that channel models replace."""
     block = resolver.models[wire.block].block
     port = next(port for port in block.outputs if port.name == wire.port)
     before = resolver.sources.get((wire.block, port.instead_of)) if port.instead_of else None
-    return _behind(resolver, before) if isinstance(before, Wire) else wire
+    return _replaced_signal(resolver, before) if isinstance(before, Wire) else wire
 
 
 def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:
@@ -74,10 +74,10 @@ def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:
 
 def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
     """A cycle of signals, each of which depends on at least one other."""
-    way = [next(iter(needs))]
-    while way[-1] not in way[:-1]:
-        way.append(needs[way[-1]][0])
-    return way[way.index(way[-1]) :]
+    cycle = [next(iter(needs))]
+    while cycle[-1] not in cycle[:-1]:
+        cycle.append(needs[cycle[-1]][0])
+    return cycle[cycle.index(cycle[-1]) :]
 
 
 def _sampled_signals(resolver: Resolver) -> tuple[Leaf, ...]:

@@ -20,6 +20,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from typing import Any, Final, final
 
 import casadi as ca
@@ -32,6 +33,7 @@ from dmframe.block.steady import same_expression
 from dmframe.common.errors import DmframeError, listed
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.wiring import Derived, End, Wire
+from dmframe.robot.chain import SerialChain
 
 WORDS: Final[Mapping[str, str]] = {
     "lengths": "the link lengths",
@@ -183,27 +185,7 @@ def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
 
 def _others(robot: Any) -> dict[str, Any]:
     """Robots with the same symbols and other numbers, for each group and for all; in Pinocchio's model too."""
-    import pinocchio as pin
-
     chain = robot.chain
-    groups = ("lengths", "axes", "tool", "tool_rotation", "gravity", "inertia", "all")
-    models = {group: chain.model.copy() for group in groups}
-    turn = pin.exp3(np.array([0.1, 0.2, 0.3]))
-    for i in range(1, chain.model.njoints):
-        place, body = chain.model.jointPlacements[i], chain.model.inertias[i]
-        far, turned = place.translation * 1.5 + 0.1, place.rotation @ turn
-        models["lengths"].jointPlacements[i] = pin.SE3(place.rotation, far)
-        models["axes"].jointPlacements[i] = pin.SE3(turned, place.translation)
-        models["all"].jointPlacements[i] = pin.SE3(turned, far)
-        for group in ("inertia", "all"):
-            models[group].inertias[i] = pin.Inertia(body.mass * 1.5 + 0.1, body.lever + 0.1, body.inertia * 1.5)
-    tool = chain.model.frames[chain.model_tool].placement
-    moved, turned = tool.translation * 1.5 + 0.1, tool.rotation @ turn
-    models["tool"].frames[chain.model_tool].placement = pin.SE3(tool.rotation, moved)
-    models["tool_rotation"].frames[chain.model_tool].placement = pin.SE3(turned, tool.translation)
-    models["all"].frames[chain.model_tool].placement = pin.SE3(turned, moved)
-    for group in ("gravity", "all"):
-        models[group].gravity.linear = chain.model.gravity.linear * 1.5 + 0.1
     moves = {"translation": lambda joint: _other(joint.translation)}
     turns = {"axis": lambda joint: _other(joint.axis), "rotation": lambda joint: tuple(map(_other, joint.rotation))}
 
@@ -222,9 +204,31 @@ def _others(robot: Any) -> dict[str, Any]:
     everything = {key: value for change in changes.values() for key, value in change.items()}
     changes["all"] = everything | {"joints": joints(moves | turns)}
     return {
-        group: robot.with_numbers(replace(chain, **change, model=models.get(group, chain.model)))
+        group: robot.with_numbers(chain.with_other_numbers(change, partial(_other_model, chain, group)))
         for group, change in changes.items()
     }
+
+
+def _other_model(chain: SerialChain, group: str) -> Any:
+    """The chain's model in Pinocchio with other numbers of one group, or of all."""
+    import pinocchio as pin
+
+    model, turn = chain.model.copy(), pin.exp3(np.array([0.1, 0.2, 0.3]))
+
+    def moved(place: Any, lengths: str, rotation: str) -> Any:
+        far = place.translation * 1.5 + 0.1 if group in (lengths, "all") else place.translation
+        return pin.SE3(place.rotation @ turn if group in (rotation, "all") else place.rotation, far)
+
+    for i in range(1, model.njoints):
+        model.jointPlacements[i] = moved(model.jointPlacements[i], "lengths", "axes")
+        if group in ("inertia", "all"):
+            body = model.inertias[i]
+            model.inertias[i] = pin.Inertia(body.mass * 1.5 + 0.1, body.lever + 0.1, body.inertia * 1.5)
+    tool = model.frames[chain.model_tool]
+    tool.placement = moved(tool.placement, "tool", "tool_rotation")
+    if group in ("gravity", "all"):
+        model.gravity.linear = model.gravity.linear * 1.5 + 0.1
+    return model
 
 
 def _other(values: Sequence[Fraction]) -> tuple[Fraction, ...]:

@@ -31,11 +31,11 @@ class Box:
 
     @property
     def ends(self) -> tuple[SX, ...]:
-        """What says where it is."""
+        """Expressions that define the set."""
         return self.lower, self.upper
 
     def law(self, state: SX, nominal: SX) -> SX:
-        """Stops a rate that leaves the box at the boundary."""
+        """Correction at the boundary that cancels a rate out of the box."""
         out = ca.logic_or(
             ca.logic_and(state <= self.lower, nominal < 0), ca.logic_and(state >= self.upper, nominal > 0)
         )
@@ -46,7 +46,7 @@ class Box:
         return ca.fmin(ca.fmax(state, self.lower), self.upper)
 
     def room(self, truth: SX) -> SX:
-        """Not negative where a point lies in the box."""
+        """Expressions that are nonnegative if and only if the point is in the box."""
         return ca.vertcat(truth - self.lower, self.upper - truth)
 
     def askew(self, weight: SX) -> SX:
@@ -76,11 +76,11 @@ class Ball:
 
     @property
     def ends(self) -> tuple[SX, ...]:
-        """What says where it is."""
+        """Expressions that define the set."""
         return self.center, self.radius, self.gain
 
     def law(self, state: SX, nominal: SX) -> SX:
-        r"""On the boundary, cancels the outward component of the nominal rate v.
+        r"""Correction at the boundary that cancels the outward component of the nominal rate v.
 
         .. math:: c = -\Gamma \nabla f\, \frac{\max(0, \nabla f^\top v)}{\nabla f^\top \Gamma \nabla f}
         """
@@ -97,7 +97,7 @@ class Ball:
         return self.center + away / ca.sqrt(ca.fmax(self._reach(state), 1))
 
     def room(self, truth: SX) -> SX:
-        """Not negative where a point lies in the set."""
+        """An expression that is nonnegative if and only if the point is in the set."""
         return 1 - self._reach(truth)
 
     def askew(self, weight: SX) -> SX:

@@ -140,9 +140,9 @@ class Resolver:
         return ca.substitute([expression], [ca.vertcat(*own)], [ca.vertcat(*driven)])[0]
 
     def derivative(self, expression: SX, wanted_by: str) -> SX:
-        """The total time derivative along the equations of the expression's own side."""
+        """Total time derivative along the equations of the expression's own side; `wanted_by` is its reader."""
         used = symbols_in([expression])
-        self._refuse_steps(used, wanted_by)
+        self._reject_steps(used, wanted_by)
         moving = list(self._moving(used, wanted_by))
         if not moving:
             return ca.SX.zeros(*expression.shape)
@@ -150,12 +150,12 @@ class Resolver:
         rates = ca.vertcat(*(ca.vec(ca.densify(rate)) for _, rate in moving))
         return ca.jtimes(expression, leaves, rates)
 
-    def _refuse_steps(self, used: set[int], wanted_by: str) -> None:
-        """Report a time derivative of a signal that moves in steps."""
+    def _reject_steps(self, used: set[int], wanted_by: str) -> None:
+        """Report a time derivative of a discontinuous signal."""
         drawn = (".".join(end) for end, leaf in self.drawn.items() if used & symbols_in([leaf]))
         for leaf in self.ahead.values():
             if used & leaf.identities:
-                text = f"{wanted_by} is a time derivative of what looks ahead at {leaf.name}; take differences"
+                text = f"{wanted_by} is a time derivative of a signal that depends on {leaf.name}; use differences"
                 self._report_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
         steps = [
             f"{name}.{state}"
@@ -165,8 +165,8 @@ class Resolver:
         ]
         for name in (*steps, *drawn):
             text = (
-                f"{wanted_by} is a time derivative of what moves with {name}, which jumps from sample to sample; "
-                "filter it in continuous time, or take differences"
+                f"{wanted_by} is a time derivative of a signal that depends on {name}, which is piecewise constant; "
+                "filter it in continuous time, or use differences"
             )
             self._report_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
 
@@ -246,11 +246,11 @@ class Resolver:
         """True if a source declares that its output is piecewise constant."""
         return any(known.name == port and known.steps for known in self.models[block].block.outputs)
 
-    def _hold_still(self, held: Leaf, block: str) -> None:
+    def _check_piecewise_constant(self, held: Leaf, block: str) -> None:
         """Check the declaration of a source that an output is piecewise constant."""
         if not _is_zero(ca.densify(ca.jtimes(held.expression, self.time, ca.SX(1)))):
             text = (
-                f"{held.name}: expected a signal that is constant between steps, as it declares, found one that moves"
+                f"{held.name}: expected a signal that is constant between steps, as it declares, found one that varies"
             )
             self._report_once(DerivativeError(text, path=("blocks", block)))
 
@@ -265,7 +265,7 @@ class Resolver:
             name = self._leaf_name(block, port, order)
             self.trajectories[key] = Leaf(name, Side.SOURCE, symbol(name, expression.shape), expression)
             if order == 0 and self.steps(block, port):
-                self._hold_still(self.trajectories[key], block)
+                self._check_piecewise_constant(self.trajectories[key], block)
         return self.trajectories[key]
 
     def _as_derivative(self, block: str, port: str, order: int) -> tuple[str, str, int]:
@@ -274,19 +274,19 @@ class Resolver:
         outputs = self.models[block].equations.outputs
         seen = {port}
         while stated.get(port) in outputs and stated[port] not in seen:
-            self._hold_stated(block, stated[port], port)
+            self._check_declared_derivative(block, stated[port], port)
             port, order = stated[port], order + 1
             seen.add(port)
         return block, port, order
 
-    def _hold_stated(self, block: str, port: str, stated: str) -> None:
+    def _check_declared_derivative(self, block: str, port: str, stated: str) -> None:
         """Compare an output declared as a derivative with the derivative; a fault is reported once."""
         if (block, stated) in self._held:
             return
         self._held.add((block, stated))
         derived = ca.jtimes(self.output(block, port), self.time, ca.SX(1))
         if not _is_zero(ca.densify(derived - self.output(block, stated))):
-            text = f"{block}.{stated}: expected the time derivative of {block}.{port}, as it declares, found another"
+            text = f"{block}.{stated}: expected the time derivative of {block}.{port}, as declared, found another"
             self.faults.append(DerivativeError(text, path=("blocks", block)))
 
     def _leaf_name(self, block: str, port: str, order: int) -> str:
@@ -305,11 +305,11 @@ class Resolver:
         if not chosen:
             return rate
         if chosen == [declared.bodies]:
-            return self._among(model, state, rate, declared.bodies, self._bodies(model, declared))
+            return self._with_projection(model, state, rate, declared.bodies, self._bodies(model, declared))
         if len(chosen) > 1:
             text = (
                 f"{model.name}: expected one of {declared.box} and {declared.ball}, found both; "
-                f"{declared.box}: null takes the box away"
+                f"{declared.box}: null removes the box"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.ball)))
         gain = model.parameters.get(declared.gain)
@@ -317,14 +317,16 @@ class Resolver:
             text = (
                 f"{model.name}: {declared.box} cannot be combined with a full matrix {declared.gain}: the projection "
                 f"onto a box is valid for a diagonal metric only; choose {declared.ball}; "
-                f"{declared.box}: null takes the box away"
+                f"{declared.box}: null removes the box"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.box)))
         first, second = ca.horzsplit(model.parameters[chosen[0]])
         kept = Box(first, second) if chosen[0] == declared.box else Ball(first, second, model.parameters[declared.gain])
-        return self._among(model, state, rate, chosen[0], kept)
+        return self._with_projection(model, state, rate, chosen[0], kept)
 
-    def _among(self, model: BlockModel, state: str, rate: SX, parameter: str, kept: Box | Ball | Bodies) -> SX:
+    def _with_projection(
+        self, model: BlockModel, state: str, rate: SX, parameter: str, kept: Box | Ball | Bodies
+    ) -> SX:
         """The rate with the correction of the projection onto a set."""
         name, leaf = f"{model.name}.{state}", model.states[state]
         correction = symbol(f"{name}.correction", leaf.shape)
@@ -342,7 +344,7 @@ class Resolver:
         if symbols_in([nominal]) - parameters - symbols_in(robots):
             text = (
                 f"{model.name}: {state.bodies} requires constant nominal bodies, but {state.nominal} is not constant; "
-                "take that of a regressor"
+                "use that of a regressor"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, state.bodies)))
         return Bodies(nominal, model.parameters[state.bodies])

@@ -11,7 +11,7 @@ from dmframe.program import CONST, INPUT, OPERATIONS, read
 EXPENSIVE: Final = 3
 """An exact Jacobian with more than this many times the instructions of the rate is replaced by a cheaper one."""
 
-_HOLDING: Final = frozenset(
+_CONSTANT_OPERATIONS: Final = frozenset(
     code
     for code, row in OPERATIONS.items()
     if row.name in {"sin", "cos", "sq", "inv", "sqrt", "pow", "constpow", "atan2", "hypot", "tan", "asin", "acos"}
@@ -42,11 +42,11 @@ class Slopes(NamedTuple):
         if _instructions([rates, slopes], given) <= (1 + EXPENSIVE) * _instructions([rates], given):
             return cls(exact, exact)
         moving = ca.SX.sym("moving", fast.numel())
-        (cheap,) = ca.substitute([ca.jacobian(_held(rates, fast, others, moving), moving)], [moving], [fast])
+        (cheap,) = ca.substitute([ca.jacobian(_with_constants(rates, fast, others, moving), moving)], [moving], [fast])
         return cls(ca.Function("used", given, [ca.sparsify(cheap)]), exact)
 
 
-def _held(rate: Any, x: Any, others: Any, moving: Any) -> Any:
+def _with_constants(rate: Any, x: Any, others: Any, moving: Any) -> Any:
     """The same values, with `moving` for x in the operations whose derivative is used."""
     program = read(ca.Function("rate", [x, others], [ca.densify(rate)]))
     still, live = list[Any](), list[Any]()  # each value, and the same with `moving`; None if it does not depend on x
@@ -63,7 +63,7 @@ def _held(rate: Any, x: Any, others: Any, moving: Any) -> Any:
         still.append(build(node.code, *(still[place] for place in node.operands)))
         move = [place for place in node.operands if live[place] is not None]
         divides = node.code == ca.OP_DIV and live[node.b] is not None
-        held = node.code in _HOLDING or divides or (node.code in _FACTORS and len(move) == 2)
+        held = node.code in _CONSTANT_OPERATIONS or divides or (node.code in _FACTORS and len(move) == 2)
         values = [still[place] if live[place] is None else live[place] for place in node.operands]
         live.append(None if held or not move else build(node.code, *values))
     (places,) = program.stored(range(len(program.nodes)))

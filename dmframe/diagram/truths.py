@@ -47,8 +47,8 @@ def owner_of(diagram: Diagram, reader: str, port: Input, stated: Stated) -> str 
     if len(near) > 1 and not all(same_expression(values[0], other) for other in values[1:]):
         choices = ", ".join(f"{name}.{port.name}" for name in near)
         raise BlockError(
-            f"{reader}: its proof needs the true {port.name}, and its wires lead as near to {choices}; "
-            "expected one block that has it, so wire the others less closely or give them other names"
+            f"{reader}: its proof needs the true {port.name}, and its wires are equally close to {choices}; "
+            "expected one block that has it; rename the signals of the others, or change their wires"
         )
     return near[0]
 

@@ -67,7 +67,7 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
         models[name] = replace(models[name], block=blocks[name], values=with_starts(arrays, models[name].states))
     raise_all(faults)
     for name, changed in by_block.items():
-        _hold_symbolic(diagram, blocks, name, changed)
+        _require_symbolic(diagram, blocks, name, changed)
     others = {name for name, model in models.items() if model is not diagram.models[name]}
     parameters = tuple(
         _valued(parameter, models) if parameter.label.partition(".")[0] in others else parameter
@@ -112,7 +112,7 @@ def _priors(blocks: Mapping[str, AbstractBlock], changed: Mapping[str, Any]) -> 
     ]
 
 
-def _hold_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: str, keys: Collection[str]) -> None:
+def _require_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: str, keys: Collection[str]) -> None:
     """Reject a number that a block reads as ``self.k`` instead of ``p.k``: its expressions contain the old value.
 
     Each parameter is checked once.
@@ -124,8 +124,8 @@ def _hold_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: 
     before, after = (_stated(diagram, name, remade(block)) for block in (old, new))
     if not same_statement(before, after):
         raise NeedsDiagramError(
-            f"{name}: its equations or its start read {' or '.join(fresh)} as a number, so that other values need a "
-            f"diagram of their own; take it as p.{fresh[0]}",
+            f"{name}: its equations or its start read {' or '.join(fresh)} as a number, so that other values require a "
+            f"diagram of their own; read it as p.{fresh[0]}",
             path=("blocks", name),
         )
     seen |= {f"{name}.{key}" for key in fresh}

@@ -9,6 +9,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Signals
+from dmframe.block.base import TRUE_VALUES
 from dmframe.block.certificate import SX
 from dmframe.block.model import Recalled, signals_of
 from dmframe.block.port import Input
@@ -47,11 +48,11 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
         expression = _truth(diagram, name, port, owners, truth, stated or {})
         if expression is not None:
             truth[port.name] = expression
-    return View(u, x, p, Signals(name, "truths that this diagram has", truth), owners)
+    return View(u, x, p, Signals(name, TRUE_VALUES, truth), owners)
 
 
 def recalling(diagram: Diagram, name: str, seen: View) -> View:
-    """The view with a robot that keeps its answers: its functions take most of the time of a second evaluation."""
+    """The view with a robot that caches its results, which take most of the time of a second evaluation."""
     model = diagram.models[name]
     if model.robot is None:
         return seen

@@ -28,7 +28,7 @@ End = tuple[str, str]
 @final
 @dataclass(frozen=True)
 class Wire:
-    """The input takes this output."""
+    """The input is connected to this output."""
 
     block: str
     port: str
@@ -182,7 +182,7 @@ class Way:
 
 def ways(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]) -> list[Way]:
     """Each signal that channel models replace (`Output.instead_of`), as wired."""
-    stands = _stand_ins(blocks, outputs, sources)
+    stands = _channel_models(blocks, outputs, sources)
     found = list[Way]()
     for origin, chain in stands.items():
         members = {wire.block for wire, _ in chain}
@@ -191,7 +191,7 @@ def ways(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping
     return found
 
 
-def _stand_ins(
+def _channel_models(
     blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]
 ) -> dict[Wire, list[tuple[Wire, End]]]:
     """The channel models of each signal in the order of the file, each with the input that it replaces."""
@@ -208,7 +208,7 @@ def _stand_ins(
 
 def _lead_through(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: dict[End, Source]) -> None:
     """Route the signals through their channel models, in the order of the file."""
-    for origin, chain in _stand_ins(blocks, outputs, sources).items():
+    for origin, chain in _channel_models(blocks, outputs, sources).items():
         inside = {end for _, end in chain}
         for (_, end), (before, _) in zip(chain[1:], chain, strict=False):
             sources[end] = before
@@ -336,19 +336,19 @@ def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[
     ]
     faults = list[DmframeError]()
     for name, block in blocks.items():
-        strangers = set[str]()
+        incompatible = set[str]()
         for truth in block.truth:
             found = [(other, port) for other, port in plant if port.name == truth.name and other != name]
             if not found or any(same_unit(port, truth) for _, port in found):
                 continue
             other, port = found[0]
-            if other not in strangers:  # one fault per block is sufficient
-                strangers.add(other)
+            if other not in incompatible:  # one fault per block is sufficient
+                incompatible.add(other)
                 faults.append(
                     UnitError(
                         f"{name}: {type_name(type(block))} expects {other}.{port.name} in {truth.unit or 'no unit'}, "
                         f"found {port.unit or 'no unit'}; "
-                        f"it does not go with {other} ({type_name(type(blocks[other]))})",
+                        f"it is incompatible with {other} ({type_name(type(blocks[other]))})",
                         path=("blocks", name),
                     )
                 )

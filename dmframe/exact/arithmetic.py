@@ -1,4 +1,4 @@
-"""CasADi's operations of a field, for any kind of number that has Python's operators."""
+"""Rules for CasADi's field operations, for any number type with Python's arithmetic operators."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ ARITHMETIC: Final[dict[int, Callable[..., Any]]] = by_code(
         "inv": lambda x: 1 / x,
     }
 )
-"""A table of rules, to which a kind of number adds what else it knows."""
+"""Rule of each operation code; a number type adds rules for further operations."""
 
 
 def with_intervals(kind: Any) -> dict[int, Callable[..., Any]]:
-    """The same table; of intervals of the class `kind`, as soon as there is one among the operands.
+    """Rules for numbers and intervals of the class `kind`: interval arithmetic if at least one operand is an interval.
 
-    `kind.of` makes one of a number, and its `square` is narrower than the product with itself.
+    `kind.of` converts a number to an interval. `kind.square` is tighter than the product of an interval with itself.
     """
 
     def mixed(rule: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""Matrices of balls: the transition of a held system, positive definiteness, and what floats know of them."""
+"""Ball matrices: conversion from and to floats, positive definiteness, and transition under zero-order hold."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from dmframe.exact.balls import ONE, ZERO, UndecidedError, above, precise
 
 
 def exactly(numbers: Any) -> arb_mat:
-    """Floats, taken as the binary numbers that they are."""
+    """Ball matrix of the exact binary values of floats."""
     given = np.asarray(numbers, dtype=float)
     rows, columns = given.shape
     return arb_mat(rows, columns, given.ravel().tolist())
 
 
 def identity(size: int) -> arb_mat:
-    """Ones on the diagonal."""
+    """Identity matrix."""
     return exactly(np.eye(size))
 
 
 def middles(matrix: arb_mat) -> NDArray[np.float64]:
-    """The middles as floats; infinite where they are too large."""
+    """The midpoints as floats; infinite on overflow."""
     return _floats(matrix, float)
 
 
@@ -40,7 +40,7 @@ def _floats(matrix: arb_mat, of: Any) -> NDArray[np.float64]:
 
 @precise()
 def scaled(matrix: arb_mat, rows: Sequence[int], columns: Sequence[int]) -> arb_mat:
-    """Row i times 2^rows[i], column j times 2^columns[j]: exact."""
+    """The matrix with row i scaled by 2^rows[i] and column j by 2^columns[j], without rounding."""
     return arb_mat([
         [value * arb((1, i + j)) for value, j in zip(row, columns, strict=True)]
         for row, i in zip(matrix.tolist(), rows, strict=True)
@@ -49,7 +49,7 @@ def scaled(matrix: arb_mat, rows: Sequence[int], columns: Sequence[int]) -> arb_
 
 @precise()
 def positive_definite(matrix: arb_mat) -> bool:
-    """True if every symmetric matrix in the enclosure is: L D L' with every element of D above zero."""
+    """True if every symmetric matrix in the enclosure is positive definite: L D L' with every element of D positive."""
     left = matrix.tolist()
     for k, row in enumerate(left):
         pivot = row[k]
@@ -65,20 +65,20 @@ def positive_definite(matrix: arb_mat) -> bool:
 
 @precise()
 def transition(A: arb_mat, time: arb) -> tuple[arb_mat, arb_mat]:
-    r"""The transition of dx/dt = A x + b over a time, b held: :math:`e^{At}` and :math:`\int_0^t e^{As} ds`.
+    r"""Transition matrices of dx/dt = A x + b with constant b: :math:`e^{At}` and :math:`\int_0^t e^{As} ds`.
 
-    Both are blocks of one exponential [VanLoan1978]_:
+    Both are blocks of one matrix exponential [VanLoan1978]_:
 
     .. math:: \exp \begin{bmatrix} A t & t \\ 0 & 0 \end{bmatrix} =
         \begin{bmatrix} e^{At} & \int_0^t e^{As} ds \\ 0 & 1 \end{bmatrix}
 
-    Raises `UndecidedError` if its enclosure is not finite.
+    Raises `UndecidedError` if the enclosure is not finite.
     """
     size = A.nrows()
     rows = [[*row, *(ONE if i == j else ZERO for j in range(size))] for i, row in enumerate(A.tolist())]
     both = (arb_mat([*rows, *([ZERO] * (2 * size) for _ in range(size))]) * time).exp().tolist()
     if not all(value.is_finite() for row in both[:size] for value in row):
-        raise UndecidedError("the plant's rates are too fast for this clock")
+        raise UndecidedError("the plant's fastest mode is too fast for this sampling period")
     return arb_mat([row[:size] for row in both[:size]]), arb_mat([row[size:] for row in both[:size]])
 
 

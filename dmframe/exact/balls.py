@@ -1,11 +1,11 @@
-"""CasADi's operations in ball arithmetic: numbers of 256 bits with error bounds that are proved, by python-flint (Arb).
+"""CasADi's operations in ball arithmetic: 256-bit numbers with rigorous error bounds, by python-flint (Arb).
 
-A ball [m +/- r] holds all numbers within r of m, and an operation's ball holds all exact results [Johansson2017]_. A
-comparison of balls is true only if it is true of all their numbers; `!=` is not the negation of `==`. The precision
-decides how narrow a ball is, never whether it holds the result: another thread that lowers it can make a proof fail,
-and cannot make it wrong.
+A ball [m +/- r] contains all numbers within r of m. The result of an operation contains all exact results
+[Johansson2017]_. A comparison of balls is true only if it is true for all their numbers; `!=` is not the negation of
+`==`. The precision affects only the width of a ball, never whether the ball contains the result: if another thread
+lowers the precision, a proof may fail, but no wrong proof is accepted.
 
-The radius of a ball has 30 bits, so that a wide interval loses its sharp ends: see `dmframe.exact.ranges`.
+The radius has 30 bits, so that the ends of a wide interval are not sharp: see `dmframe.exact.ranges`.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from dmframe.exact.literal import literal
 from dmframe.program import COMPARISONS, DIVISIONS, JUMPS, Node, Program, by_code, run, sign_of
 
 BITS: Final = 256
-"""Default precision."""
+"""Default precision in bits."""
 
 ZERO, ONE = arb(0), arb(1)
 UNDECIDED = arb.nan()
-"""The value of a comparison that is neither true of all numbers of two balls nor false of all."""
+"""The value of a comparison that is neither true for all numbers of two balls nor false for all."""
 
 _LOCK: Final = RLock()
 
 
 class UndecidedError(DmframeError):
-    """An enclosure is too wide, or an operation unknown, to say what an expression is."""
+    """The value of an expression cannot be decided: an enclosure is too wide, or an operation has no enclosure rule."""
 
 
 @contextmanager
 def precise(bits: int = BITS) -> Iterator[None]:
-    """Compute with so many bits, as a context or a decorator. python-flint has one precision for all threads."""
+    """Compute with `bits` bits; a context or a decorator. python-flint has one precision for all threads."""
     with _LOCK, ctx.workprec(bits):
         yield
 
@@ -53,53 +53,53 @@ def _rational(value: Fraction, bits: int) -> arb:
 
 @lru_cache(maxsize=4096)
 def ball(value: Fraction | float, bits: int = BITS) -> arb:
-    """The narrowest ball with a rational number; a float is the decimal that it was written as (`literal`)."""
+    """The narrowest ball containing a rational number; a float is read as the decimal it was written as (`literal`)."""
     return _rational(value if isinstance(value, Fraction) else literal(value), bits)
 
 
 def below(value: arb) -> float:
-    """The largest float, or the one before, that is at most every number of a ball."""
+    """A lower bound on a ball as a float: the largest such float, or the one before."""
     end = value.lower()
     near = float(end)
     return near if arb(near) <= end else nextafter(near, -inf)
 
 
 def above(value: arb) -> float:
-    """The least float, or the one after, that is at least every number of a ball."""
+    """An upper bound on a ball as a float: the least such float, or the one after."""
     end = value.upper()
     near = float(end)
     return near if arb(near) >= end else nextafter(near, inf)
 
 
-Held = Callable[[int, Sequence[arb]], arb | None]
+Override = Callable[[int, Sequence[arb]], arb | None]
 
 
 def enclosed(
     program: Program,
     inputs: Sequence[Sequence[arb]],
     constant: Callable[[float], arb] | None = None,
-    held: Held | None = None,
+    override: Override | None = None,
     bits: int = BITS,
 ) -> list[arb]:
-    """The values of all nodes.
+    """Enclosures of all nodes of a program.
 
     Parameters
     ----------
-    inputs
+    Stored elements of each argument.
         For each argument, its stored elements.
-    constant
+    Ball of a literal, by default `ball`.
         The ball of a literal, by default `ball`.
-    held
-        A node's place and the values before it -> a value instead of the node's own, or None.
+    override
+        Maps the position of a node and the values before it to a value that replaces the node's own, or to None.
 
-    A comparison that is not decided is `UNDECIDED`, and so are "not", "and" and "or" of it. Raises `UndecidedError`
-    where anything else depends on it, where an operation is not defined on a whole ball, and for one that is unknown.
+    An undecided comparison is `UNDECIDED`, and so are "not", "and" and "or" of it. Raises `UndecidedError` if another
+    operation depends on it, if an operation is not defined on the whole ball, or if an operation has no rule.
     """
     values = list[arb]()
 
     def keep(node: Node, value: arb) -> arb:
-        given = held(len(values), values) if held else None
-        value = value if given is None else given
+        replacement = override(len(values), values) if override else None
+        value = value if replacement is None else replacement
         if not value.is_finite() and node.code not in _TRUTHS:
             raise UndecidedError(_reason(node, [values[k] for k in node.operands]))
         values.append(value)
@@ -111,19 +111,19 @@ def enclosed(
             RULES,
             given=lambda argument, element: inputs[argument][element],
             constant=constant or (lambda value: ball(value, bits)),
-            refuse=lambda code: UndecidedError(f"no enclosure is known of CasADi's instruction {code}"),
+            refuse=lambda code: UndecidedError(f"CasADi's instruction {code} has no enclosure rule"),
             keep=keep,
         )
 
 
 def _reason(node: Node, operands: Sequence[arb]) -> str:
-    """Why a value is not finite."""
+    """The reason why a value is not finite."""
     if node.code not in RULES:
         return "a number is not finite"
     if node.code in DIVISIONS and not operands[-1].is_nan():
         return "a divisor may be zero"
     if node.code in JUMPS or any(operand.is_nan() for operand in operands):
-        return "whether a comparison holds cannot be decided"
+        return "a comparison cannot be decided"
     return f"the operand of {sign_of(node.code)} may be outside its domain"
 
 
@@ -132,7 +132,7 @@ def _chosen(yes: bool, no: bool) -> arb:
 
 
 def _truth(a: arb) -> arb:
-    """Whether a number is other than zero."""
+    """Whether a number is nonzero."""
     return _chosen(a.is_finite() and 0 not in a, a.is_zero())
 
 
@@ -159,7 +159,7 @@ def _sign(a: arb) -> arb:
 
 
 def _exact(a: arb) -> arb:
-    """A whole number that is decided."""
+    """An integer, if it is decided."""
     return a if a.is_exact() else UNDECIDED
 
 
@@ -168,7 +168,7 @@ def _truncated(a: arb) -> arb:
 
 
 def _nearest(a: arb) -> arb:
-    """The nearest whole number, the even one of two."""
+    """The nearest integer; of two, the even one."""
     up = a + 0.5
     whole = _exact(up.floor())
     return whole - 1 if up.is_integer() and not (whole / 2).is_integer() else whole
@@ -181,7 +181,7 @@ def _square(a: arb) -> arb:
 def _power(a: arb, b: arb) -> arb:
     if not b.is_integer() or not (a.mid().is_zero() and not a.is_zero() and b > 0):
         return a**b
-    most = a.abs_upper() ** b  # Arb gives no whole power of a ball around zero
+    most = a.abs_upper() ** b  # Arb has no integer power of a ball around zero
     return (ZERO if (b / 2).is_integer() else -most).union(most)
 
 
@@ -225,7 +225,7 @@ RULES: Final = ARITHMETIC | by_code(
         "if_else_zero": _where,
     }
 )
-"""All of CasADi's operations but `erfinv`, whose own value in CasADi is off by up to 4e-8."""
+"""All of CasADi's operations except `erfinv`, whose value in CasADi has an error of up to 4e-8."""
 
 
 __all__ = [

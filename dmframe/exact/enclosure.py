@@ -1,8 +1,8 @@
-r"""Intervals with floating-point ends, many at once: each result encloses the true one, whatever was rounded.
+r"""Arrays of intervals with floating-point ends: each result encloses the exact one, including rounding errors.
 
-NumPy's sums, products and quotients are those of IEEE 754: the nearest number to the true one. The next number outward,
-or one behind it, is therefore an end that encloses it. Its sine and cosine promise no such thing, so they are summed
-here, as series with the error that is left out.
+NumPy's sums, products and quotients follow IEEE 754: they are the nearest number to the exact result. The next number
+outward, or the one after it, is therefore a valid end. NumPy's sine and cosine have no such guarantee, so they are
+computed here as series with a bound on the remainder.
 """
 
 from __future__ import annotations
@@ -27,28 +27,29 @@ Numbers = NDArray[np.float64]
 
 _STEP: Final = 2.0**-53 * (1 + 2.0**-52)
 _LEAST: Final = sys.float_info.min
-"""With these a sum reaches the next number, for every finite one [Rump2009]_; ten times as fast as `nextafter`.
+"""A sum with these reaches the next number, for every finite one [Rump2009]_; ten times as fast as `nextafter`.
 
-The least is the smallest normal number, larger than needed: so it holds too where subnormal ones are flushed to zero.
+The least is the smallest normal number, larger than needed, so that it is valid if subnormal numbers are flushed to
+zero.
 """
 
 
 def down(values: Any) -> Numbers:
-    """At most the next numbers below."""
+    """Numbers less than or equal to the next numbers below."""
     return np.asarray(values - (np.abs(values) * _STEP + _LEAST))
 
 
 def up(values: Any) -> Numbers:
-    """At least the next numbers above."""
+    """Numbers greater than or equal to the next numbers above."""
     return np.asarray(values + (np.abs(values) * _STEP + _LEAST))
 
 
 @final
 @dataclass(frozen=True)
 class Enclosure:
-    """For each place of two arrays, all numbers from `lower` to `upper`.
+    """Elementwise intervals from `lower` to `upper`, two arrays.
 
-    Where an operation overflowed, an end is no number: comparisons with it are false, so that nothing follows from it.
+    After an overflow an end is NaN: comparisons with it are false, so that no conclusion is drawn from it.
     """
 
     lower: Numbers
@@ -56,12 +57,12 @@ class Enclosure:
 
     @staticmethod
     def of(value: Any) -> Enclosure:
-        """Numbers, taken as exact."""
+        """Enclosure of zero width around exact numbers."""
         return value if isinstance(value, Enclosure) else Enclosure(*[np.asarray(value, dtype=float)] * 2)
 
     @staticmethod
     def around(value: Fraction) -> Enclosure:
-        """A rational number between its neighbours, or itself where it is a floating-point number."""
+        """Enclosure of a rational number: its neighbours, or the number itself if it is a floating-point number."""
         near = float(value)
         return Enclosure.of(near) if Fraction(near) == value else Enclosure(down(near), up(near))
 
@@ -86,7 +87,7 @@ class Enclosure:
         return Enclosure(down(lower), up(upper))
 
     def __truediv__(self, other: Any) -> Enclosure:
-        """A quotient; everything where the divisor holds zero, or the quotient overflows."""
+        """Quotient; the whole line if the divisor contains zero or the quotient overflows."""
         other = Enclosure.of(other)
         through = (other.lower <= 0) & (other.upper >= 0)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -99,7 +100,7 @@ class Enclosure:
         return Enclosure.of(other) / self
 
     def square(self) -> Enclosure:
-        """Not the product with itself, which forgets that both factors are one."""
+        """Square; tighter than the product with itself, in which the factors count as independent."""
         low, high = self.lower * self.lower, self.upper * self.upper
         through = (self.lower <= 0) & (self.upper >= 0)
         lower = np.where(through, 0.0, np.maximum(down(np.minimum(low, high)), 0.0))
@@ -111,12 +112,12 @@ class Enclosure:
         return np.asarray(np.maximum(np.abs(self.lower), np.abs(self.upper)))
 
     @cached_property
-    def on_circle(self) -> tuple[Enclosure, Enclosure]:
-        """Sine and cosine, computed once: where a program takes one, it takes the other."""
+    def sine_and_cosine(self) -> tuple[Enclosure, Enclosure]:
+        """Sine and cosine, computed once, since a program that contains one usually contains the other."""
         return self.sin_cos()
 
     def sin_cos(self) -> tuple[Enclosure, Enclosure]:
-        """Sine and cosine [rad]: the values at both ends, and 1 or -1 where a top or a bottom lies between them."""
+        """Sine and cosine [rad]: the values at both ends, extended to 1 or -1 if the interval contains an extremum."""
         first, last = _sin_cos(self.lower), _sin_cos(self.upper)
         sine = _hull(first[0], last[0], _passes(self, -_QUARTER), _passes(self, _QUARTER))
         return sine, _hull(first[1], last[1], _passes(self, _HALF), _passes(self, Enclosure.of(0.0)))
@@ -130,13 +131,13 @@ _HALF: Final = _PI
 _TURN: Final = Enclosure(_PI.lower * 2, _PI.upper * 2)
 
 _FARTHEST: Final = 1e5
-"""Beyond this angle [rad] the reduction to a quarter turn is too coarse."""
+"""Largest angle [rad] for which the reduction to a quarter turn is accurate enough."""
 
 _TERMS: Final = 11
 _SINE: Final = [Enclosure.around(Fraction((-1) ** k, math.factorial(2 * k + 1))) for k in range(_TERMS)]
 _COSINE: Final = [Enclosure.around(Fraction((-1) ** k, math.factorial(2 * k))) for k in range(_TERMS)]
 _REST: Final = up(1 / math.factorial(2 * _TERMS))
-"""The terms alternate and fall for |y| <= 1, so what is left out is less than the first term left out."""
+"""The terms alternate and decrease for |y| <= 1, so the remainder is less than the first omitted term."""
 
 
 def _hull(first: Enclosure, last: Enclosure, bottom: NDArray[np.bool_], top: NDArray[np.bool_]) -> Enclosure:
@@ -146,26 +147,26 @@ def _hull(first: Enclosure, last: Enclosure, bottom: NDArray[np.bool_], top: NDA
 
 
 def _passes(angle: Enclosure, place: Enclosure) -> NDArray[np.bool_]:
-    """True where the angle may hold `place` plus whole turns."""
+    """True if the angle may be `place` plus a multiple of a full turn."""
     turns = (angle - place) / _TURN
     return np.asarray(~(np.floor(turns.upper) < np.ceil(turns.lower)))
 
 
 def _sin_cos(angle: Numbers) -> tuple[Enclosure, Enclosure]:
-    """Of exact angles, by the series about the nearest quarter turn."""
+    """Sine and cosine of exact angles, by the series about the nearest quarter turn."""
     known = np.abs(angle) <= _FARTHEST
     near = np.where(known, angle, 0.0)
     quarter = np.rint(near / (math.pi / 2))
-    rest = Enclosure.of(near) - Enclosure.of(quarter) * _QUARTER
-    known &= rest.magnitude <= 1
-    square, left_out = rest.square(), Enclosure(-_REST, _REST)
-    sine, cosine = _series(_SINE, square) * rest + left_out, _series(_COSINE, square) + left_out
+    reduced = Enclosure.of(near) - Enclosure.of(quarter) * _QUARTER
+    known &= reduced.magnitude <= 1
+    square, remainder = reduced.square(), Enclosure(-_REST, _REST)
+    sine, cosine = _series(_SINE, square) * reduced + remainder, _series(_COSINE, square) + remainder
     place = quarter.astype(int) % 4
     return _turned(sine, cosine, place, known), _turned(sine, cosine, (place + 1) % 4, known)
 
 
 def _turned(sine: Enclosure, cosine: Enclosure, quarters: NDArray[np.int_], known: NDArray[np.bool_]) -> Enclosure:
-    """The sine of an angle so many quarter turns ahead; from -1 to 1 where it is not known."""
+    """Sine of an angle advanced by `quarters` quarter turns; from -1 to 1 where it is not known."""
     lower = np.choose(quarters, [sine.lower, cosine.lower, -sine.upper, -cosine.upper])
     upper = np.choose(quarters, [sine.upper, cosine.upper, -sine.lower, -cosine.lower])
     return Enclosure(np.where(known, lower, -1.0), np.where(known, upper, 1.0))
@@ -179,16 +180,16 @@ def _series(coefficients: Sequence[Enclosure], square: Enclosure) -> Enclosure:
 
 
 RULES: Final = ARITHMETIC | by_code(
-    {"sq": Enclosure.square, "sin": lambda x: x.on_circle[0], "cos": lambda x: x.on_circle[1]}
+    {"sq": Enclosure.square, "sin": lambda x: x.sine_and_cosine[0], "cos": lambda x: x.sine_and_cosine[1]}
 )
 
 
 @final
 class Enclosing:
-    """An SX function, or its program, evaluated in enclosures.
+    """Evaluation of an SX function, or of its program, in enclosures.
 
-    The default `rules` know field operations, sine and cosine. By default, a literal is the float that it is.
-    Raises `ValueFault` for a function that holds any other operation, or a constant that is not finite.
+    The default `rules` contain field operations, sine and cosine. By default, a literal has its exact binary value.
+    Raises `ValueFault` for a function with any other operation, or a constant that is not finite.
     """
 
     def __init__(
@@ -211,7 +212,7 @@ class Enclosing:
     def values(
         self, inputs: Sequence[Sequence[Any]], keep: Callable[[Node, Enclosure], Enclosure] | None = None
     ) -> list[Enclosure]:
-        """The values of all nodes of the program; `keep` as of `dmframe.program.run`."""
+        """The values of all nodes of the program; `keep` as in `dmframe.program.run`."""
         with np.errstate(invalid="ignore", over="ignore"):
             return run(
                 self.program,
@@ -227,5 +228,5 @@ class Enclosing:
             text = f"expected + - * /, sin and cos only, found CasADi's instruction {code}"
         else:
             found = OPERATIONS[code].name if code in OPERATIONS else f"CasADi's instruction {code}"
-            text = f"expected operations of which an enclosure is known, found {found}"
+            text = f"expected operations with an enclosure rule, found {found}"
         return ValueFault(f"{self.program.name}: {text}")

@@ -1,4 +1,4 @@
-"""The ends of an expression of which some symbols lie anywhere in intervals: the rules of `Interval`, as formulas."""
+"""Symbolic bounds on an expression whose symbols vary in intervals: the rules of `Interval`, as expressions."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from dmframe.program import by_code, read, run
 @final
 @dataclass(frozen=True)
 class Ends:
-    """The least and the greatest that a number can be, as expressions; `defined` is 0 where a divisor can be zero.
+    """Lower and upper bound on a number, as expressions; `defined` is 0 if a divisor can be zero.
 
-    A flag is carried, since a NaN is lost on its way: zero times it is written as zero, and `fmin` takes the other.
+    The flag is needed because a NaN does not propagate: CasADi simplifies zero times it to zero, and `fmin` ignores it.
     """
 
     lower: Any
@@ -28,7 +28,7 @@ class Ends:
 
     @staticmethod
     def of(value: Any) -> Ends:
-        """An expression as an interval of no width."""
+        """An expression as an interval of zero width."""
         return value if isinstance(value, Ends) else Ends(value, value)
 
     def __add__(self, other: Ends) -> Ends:
@@ -55,19 +55,19 @@ class Ends:
         return Ends.of(ca.SX(other)) / self
 
     def square(self) -> Ends:
-        """Not the product with itself, which forgets that both factors are one."""
+        """Square; tighter than the product with itself, in which the factors count as independent."""
         ends = self.lower * self.lower, self.upper * self.upper
         least = ca.if_else(ca.logic_and(self.lower <= 0, self.upper >= 0), 0, ca.fmin(*ends))
         return Ends(least, ca.fmax(*ends), self.defined)
 
 
 def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]], *, waves: bool = False) -> Ends:
-    """Both ends of a column, element by element; `inside` has the intervals of symbols, by their identity.
+    """Bounds on a column, element by element; `inside` maps symbols, by identity, to their intervals.
 
-    With `waves` a sine or cosine of what lies in an interval is anywhere from -1 to 1. Both ends are NaN where a
-    divisor can be zero.
+    With `waves` a sine or cosine of an uncertain argument is bounded by -1 and 1. Both bounds are NaN if a divisor can
+    be zero.
 
-    Raises `ValueFault` for an expression of other operations than these and those of a field.
+    Raises `ValueFault` for any operation other than these and those of a field.
     """
     symbols = ca.symvar(expression)
     program = read(ca.Function("ends", symbols, [ca.vec(ca.densify(expression))]))
@@ -92,7 +92,7 @@ def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]], *, wav
 
 
 def _both(one: Ends, other: Ends) -> Any:
-    """Whether two numbers are defined."""
+    """Expression that is true if both numbers are defined."""
     return ca.logic_and(one.defined, other.defined)
 
 

@@ -1,4 +1,4 @@
-"""A tape at one point of a prime field, and again where little has changed: only what depends on that is recomputed."""
+"""Evaluation of a tape at a point of a prime field, and update of the dependent instructions at a second point."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ _SIGNS: Final = 1
 
 @final
 class Evaluation:
-    """The residues of all instructions of a tape.
+    """Residues of all instructions of a tape.
 
-    Functions that the field does not have keep the values that the trial has chosen, so that what is recomputed is what
-    a full evaluation at the other point would give, number by number.
+    Functions that a field does not have keep the values that the trial has chosen. The recomputed residues are
+    therefore equal to those of a full evaluation at the second point.
 
     Parameters
     ----------
     moving
         Positions of the inputs that may change.
     places
-        The instructions to evaluate, in order, with all that they need; all of them by default.
+        Instructions to evaluate, in order, including all that they depend on; by default all.
 
     Raises
     ------
     ZeroDivision
-        A denominator vanishes, here or at the other point.
+        A denominator vanishes at one of the points.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Evaluation:
         self._tape, self._inputs, self._trial = tape, list(inputs), trial
         self._places: Sequence[int] = range(len(tape)) if places is None else places
         self._moving = {position: 2 << place for place, position in enumerate(moving)}
-        self._again_at = dict[int, list[tuple[int, Node]]]()
+        self._recomputed_at = dict[int, list[tuple[int, Node]]]()
         self.values = [0] * len(tape)
         nodes = tape.nodes
         tape.compute(((place, nodes[place]) for place in self._places), self.values, self._inputs, trial)
@@ -56,28 +56,28 @@ class Evaluation:
         return self._tape.outputs_of(self.values, self._trial)
 
     def changed(self, inputs: Mapping[int, Sequence[int]]) -> list[int]:
-        """The residues of all instructions with other ones of some of the inputs that may change, by position."""
+        """Residues of all instructions after new values of some of the inputs that may change, by position."""
         given = list(self._inputs)
         for position, values in inputs.items():
             given[position] = values
-        return self._again(sum(self._moving[k] for k in inputs), given)
+        return self._recomputed(sum(self._moving[k] for k in inputs), given)
 
-    def sign_anew(self) -> None:
-        """Evaluate with the trial's present choice of signs."""
-        self.values = self._again(_SIGNS, self._inputs)
+    def recompute_signs(self) -> None:
+        """Evaluate with the present choice of signs of the trial."""
+        self.values = self._recomputed(_SIGNS, self._inputs)
 
-    def _again(self, mask: int, inputs: Sequence[Sequence[int]]) -> list[int]:
-        if mask not in self._again_at:
+    def _recomputed(self, mask: int, inputs: Sequence[Sequence[int]]) -> list[int]:
+        if mask not in self._recomputed_at:
             nodes = self._tape.nodes
             found = sorted(place for own, places in self._depending.items() if own & mask for place in places)
-            self._again_at[mask] = [(place, nodes[place]) for place in found]
+            self._recomputed_at[mask] = [(place, nodes[place]) for place in found]
         values = self.values.copy()
-        self._tape.compute(self._again_at[mask], values, inputs, self._trial)
+        self._tape.compute(self._recomputed_at[mask], values, inputs, self._trial)
         return values
 
     @cached_property
     def _depending(self) -> Mapping[int, Sequence[int]]:
-        """The places of instructions by what they depend on: bits of the inputs that may change, and of the signs."""
+        """Positions of instructions by their dependencies: bits of the inputs that may change, and of the signs."""
         masks, found, nodes = [0] * len(self._tape), dict[int, list[int]](), self._tape.nodes
         moving, arity = self._moving, {code: operation.arity for code, operation in OPERATIONS.items()}
         for place in self._places:

@@ -1,4 +1,4 @@
-"""The test whether an expression is identically zero, at random points of prime fields, with a bound on the error."""
+"""Probabilistic test for identically zero expressions at random points of prime fields, with an error bound."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 _ATTEMPTS = 20
 
 Values = Mapping[int | str, Sequence[Fraction | int | float | None]]
-"""Inputs, by position or name, whose elements have known values (dense, column-major); None leaves one free."""
+"""Known values of inputs, by position or name (dense, column-major); None marks a free element."""
 
 
 @final
 @dataclass(frozen=True)
 class Witness:
-    """A point at which the expression is not zero: element (row, column) of `output` has the residue `residue`."""
+    """A point at which the expression is nonzero: element (row, column) of `output` has the residue `residue`."""
 
     prime: int
     output: str
@@ -42,8 +42,10 @@ class Witness:
 @final
 @dataclass(frozen=True)
 class ZeroTest:
-    """The outcome. A refutation (`witness`) is certain in free symbols; an acceptance errs with probability
-    below 2**`log2_error_bound`, over the random primes and points.
+    """Result of the test.
+
+    A refutation (`witness`) is certain in free symbols. The probability of a wrong acceptance, over the random primes
+    and points, is below 2**`log2_error_bound`.
     """
 
     zero: bool
@@ -64,29 +66,29 @@ def zero_test(
     bits: int = 127,
     primes: Sequence[int] = (),
 ) -> ZeroTest:
-    r"""Decide whether all outputs of the SX function `f` vanish identically.
+    r"""Decide whether all outputs of the SX function `f` are identically zero.
 
-    Each trial evaluates `f` modulo a random prime of `bits` bits at a random point. If an output is not zero, its
-    numerator is a polynomial of degree at most D, whose integer coefficients have the size 2^H. One trial misses it
-    with probability below
+    Each trial evaluates `f` modulo a random prime of `bits` bits at a random point. If an output is not identically
+    zero, its numerator is a polynomial of degree at most D with integer coefficients of size 2^H. One trial evaluates
+    it to zero with probability below
 
     .. math:: 8 (D + H) / 2^{bits}:
 
     by Schwartz and Zippel a point of F_p is a root with probability at most D/p; at most H/(bits - 1) of the at least
-    0.86 2^(bits-1)/(bits-1) primes (Rosser and Schoenfeld 1962, corollary 3) divide a given coefficient; and drawing
-    again where a denominator vanishes at most doubles both. D and H count the denominators and the arguments of
-    functions too (`Bound`). With given `primes` the middle argument is lost: the bound is then 4 D / p, for expressions
-    that do not vanish modulo the primes.
+    0.86 2^(bits-1)/(bits-1) primes (Rosser and Schoenfeld 1962, corollary 3) divide a given coefficient; and a new
+    point after a vanishing denominator at most doubles both. D and H include the denominators and the arguments of
+    functions (`Bound`). With given `primes` the second argument does not apply: the bound is then 4 D / p, for
+    expressions that do not vanish modulo the primes.
 
     Parameters
     ----------
-    f : SX function of any number of inputs and outputs.
-    values : known values of inputs; all others are free symbols, so the answer holds for every value of them.
+    f : SX function with any number of inputs and outputs.
+    values : known values of inputs; all others are free symbols, so the result is valid for all their values.
     trials : number of points, >= 1; each has its own prime.
-    seed : of the random primes and points; without it, one that is derived from `f` itself, so that no
-        expression can be written that vanishes modulo primes known before.
+    seed : seed of the random primes and points; by default derived from `f` itself, so that no expression can be
+        constructed that vanishes modulo primes chosen in advance.
     bits : size of the random primes, >= 121.
-    primes : take these primes, one trial each, instead of random ones.
+    primes : primes to use, one trial each, instead of random ones.
 
     Raises `ValueFault` for a function that cannot be read, or whose denominators vanish identically,
     `UnknownNameError` and `ShapeError` for values that do not fit.
@@ -118,7 +120,7 @@ def _own_seed(f: ca.Function) -> int:
 
 
 def log2_error(bound: Bound, prime: int, bits: int, given: bool) -> float:
-    """Bound on log2 of the probability that one trial misses an expression that is not zero."""
+    """Bound on log2 of the probability that one trial evaluates a nonzero expression to zero."""
     if given:
         return min(0.0, 2 + math.log2(max(1, bound.degree_total)) - math.log2(prime))
     return min(0.0, 3 + math.log2(max(1, bound.degree_total + bound.height_total)) - bits)
@@ -174,19 +176,19 @@ def _first_nonzero(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> 
 
 
 def sign_choices(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> Iterator[list[list[int]]]:
-    """The outputs for every choice of signs: only so is a trial's chance to miss as small as the bound says.
+    """Outputs for every choice of signs; the error bound of a trial requires all choices.
 
-    Where a sign is 0, its argument is, and |x| may be read as 0 or as x: an element that vanishes in one of these
-    readings is given as zero.
+    Where a sign is 0, its argument is 0, and |x| can be evaluated as 0 or as x: an element that vanishes in one of
+    these evaluations is returned as zero.
     """
     evaluation = Evaluation(tape, point, trial)
     outputs = evaluation.outputs
     while True:
         if trial.on_a_jump and any(map(any, outputs)):
-            trial.zero_is_its_own_size = True
-            evaluation.sign_anew()
+            trial.fabs_is_argument_at_zero = True
+            evaluation.recompute_signs()
             others = evaluation.outputs
-            trial.zero_is_its_own_size = False
+            trial.fabs_is_argument_at_zero = False
             outputs = [
                 [a and b and a for a, b in zip(one, other, strict=True)]
                 for one, other in zip(outputs, others, strict=True)
@@ -194,5 +196,5 @@ def sign_choices(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> It
         yield outputs
         if not trial.next_signs():
             return
-        evaluation.sign_anew()
+        evaluation.recompute_signs()
         outputs = evaluation.outputs

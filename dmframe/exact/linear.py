@@ -16,9 +16,9 @@ class NoRationalError(ArithmeticError):
 
 @final
 class Echelon:
-    """A row space that grows, kept in reduced echelon form.
+    """Reduced echelon form of a row space to which rows are added.
 
-    Each kept row is 1 in its pivot column, where all others are 0, and 0 left of it.
+    Each row has 1 in its pivot column, 0 to the left of it and in all other pivot columns.
     """
 
     def __init__(self, prime: int, columns: int) -> None:
@@ -28,16 +28,16 @@ class Echelon:
 
     @property
     def pivots(self) -> tuple[int, ...]:
-        """The pivot columns, ascending: the first columns that no combination of earlier ones gives."""
+        """Pivot columns, ascending: the first columns that are no combination of earlier ones."""
         return tuple(sorted(self._rows))
 
     @property
     def rows(self) -> list[list[int]]:
-        """The reduced rows, in the order of their pivots."""
+        """Reduced rows, in the order of their pivots."""
         return [list(self._rows[pivot]) for pivot in self.pivots]
 
     def add(self, row: Sequence[int]) -> bool:
-        """Take one more row; True if the row space has grown. Raises `ShapeError` for a row of another length."""
+        """Add a row; return whether the rank has increased. Raises `ShapeError` for a row of another length."""
         if len(row) != self.columns:
             raise ShapeError(f"row of an echelon form: expected {self.columns} elements, found {len(row)}")
         p = self.prime
@@ -58,12 +58,12 @@ class Echelon:
 
     @property
     def undetermined(self) -> set[int]:
-        """The columns in which some vector of the null space is not zero."""
-        alone = {pivot for pivot, row in self._rows.items() if sum(map(bool, row)) == 1}
-        return set(range(self.columns)) - alone
+        """Columns in which some vector of the null space is nonzero."""
+        determined = {pivot for pivot, row in self._rows.items() if sum(map(bool, row)) == 1}
+        return set(range(self.columns)) - determined
 
     def null_space(self) -> list[list[int]]:
-        """One vector for each column that is no pivot: 1 there, 0 in the other such columns."""
+        """One vector for each column without a pivot: 1 there, 0 in the other columns without a pivot."""
         basis = []
         for free in sorted(set(range(self.columns)) - self._rows.keys()):
             vector = [0] * self.columns
@@ -87,12 +87,12 @@ def reduced_echelon(rows: Sequence[Sequence[int]], prime: int) -> tuple[list[lis
 
 
 def rank(rows: Sequence[Sequence[int]], prime: int) -> int:
-    """The rank over F_p; never above the rank of the rational matrix that the rows are residues of."""
+    """Rank over F_p, a lower bound on the rank of the rational matrix with these residues."""
     return len(reduced_echelon(rows, prime)[1])
 
 
 def null_space(rows: Sequence[Sequence[int]], columns: int, prime: int) -> list[list[int]]:
-    """A basis of the vectors x with A x = 0, A having `rows` of `columns` elements."""
+    """Basis of the vectors x with A x = 0, where A has the rows `rows` of `columns` elements."""
     echelon = Echelon(prime, columns)
     for row in rows:
         echelon.add(row)
@@ -102,8 +102,8 @@ def null_space(rows: Sequence[Sequence[int]], columns: int, prime: int) -> list[
 def rational_reconstruction(residue: int, prime: int, bound: int | None = None) -> Fraction:
     """The fraction n/d = residue modulo `prime` with abs(n), d <= bound (sqrt(prime/2), which makes it unique).
 
-    Half an extended Euclid, [Wang1981]_. Raises `NoRationalError` where there is none. Many residues that stand for
-    no small fraction have one by chance: compare with a second prime.
+    Half of the extended Euclidean algorithm, [Wang1981]_. Raises `NoRationalError` if there is none. A residue of a
+    large fraction may equal that of a small one by chance: compare with a second prime.
     """
     limit = math.isqrt(prime // 2) if bound is None else bound
     remainder, previous = residue % prime, prime

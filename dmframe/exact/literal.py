@@ -11,27 +11,28 @@ from dmframe.common.errors import ValueFault
 from dmframe.robot.rational import simplest_between
 
 WRITTEN_DIGITS: Final = 15
-"""A decimal of so many digits comes back from its float; a longer one was computed, not written."""
+"""Number of digits up to which a decimal is recovered from its float; a longer one was computed, not written."""
 
 SHORT_BITS: Final = 30
-"""An odd numerator of so few bits over a power of two is a float without rounding."""
+"""Number of bits of an odd numerator, over a power of two, up to which a float is exact."""
 
 SMALL_DENOMINATOR: Final = 10**4
-"""Of a fraction such as 1/3: none so small lies near a float by chance."""
+"""Largest denominator of a fraction such as 1/3; no float is close to one by chance."""
 
 
 @lru_cache(maxsize=4096)
 def literal(value: float) -> Fraction:
-    """The rational number that a float in an expression stands for.
+    """The rational number that a float in an expression represents.
 
-    Without this -0.1 x - 0.2 x + 0.3 x would not vanish: the three floats miss their decimals by different amounts. In
-    this order: a float of few bits is itself (0.75); a decimal of at most 15 digits is that decimal (0.1 is 1/10); a
-    fraction with a small denominator is that fraction (1/3); any other float is its exact binary value.
+    Without this -0.1 x - 0.2 x + 0.3 x would not vanish, since the three floats have different rounding errors. The
+    rules are, in this order: a float of few bits has its exact value (0.75); a decimal of at most 15 digits is that
+    decimal (0.1 is 1/10); a fraction with a small denominator is that fraction (1/3); any other float has its exact
+    binary value.
 
-    Each answer lies within half a unit of the float's last place, so that two different floats never read alike: no
-    two numbers are taken for equal that are not. The loop that is run differs from the one that is proved by the
-    rounding of its literals, as it does by that of its arithmetic. What Python or CasADi has folded already stays
-    folded: 0.1 + 0.2 gives 0.30000000000000004, not 3/10.
+    The result is within half a unit in the last place of the float, so that two different floats always have different
+    results. The difference between the simulated loop and the proved one is the rounding of literals and of arithmetic.
+    Constants that Python or CasADi has already combined are not recovered: 0.1 + 0.2 gives 0.30000000000000004, not
+    3/10.
 
     Raises `ValueFault` for a value that is not finite.
     """
@@ -49,16 +50,16 @@ def literal(value: float) -> Fraction:
 
 
 def exact(value: float | Fraction) -> Fraction:
-    """The rational number of a constant: a fraction is itself, a float what it stands for."""
+    """The rational number of a constant: a fraction itself, or the `literal` of a float."""
     return value if isinstance(value, Fraction) else literal(value)
 
 
 def computed(value: Fraction) -> bool:
-    """True for a `literal` that no rule but the last one reads: what a program computed, and rounded."""
+    """True for a `literal` to which only the last rule applies: a value that a program has computed and rounded."""
     return value.denominator & (value.denominator - 1) == 0 and rounded(float(value))
 
 
 def rounded(value: float) -> bool:
-    """True unless the float is, by its few bits, the very number that was meant."""
+    """True unless the float has so few bits that it is exact."""
     numerator = abs(Fraction(value).numerator)
     return bool(numerator) and (numerator // (numerator & -numerator)).bit_length() > SHORT_BITS

@@ -1,8 +1,8 @@
-"""Functions of time with min, max, comparisons, floor: on which pieces they are smooth, and whether they jump between.
+"""Functions of time with min, max, comparisons or floor: their smooth pieces, and jumps between the pieces.
 
-A derivative taken by the chain rule knows nothing of a jump. A function that switches is followed from t = 0 on: on
-each piece every switch has one position, read from its argument, a polynomial of degree one there; where the next
-argument vanishes, the piece ends. At every end both sides are evaluated in ball arithmetic, with their switches held.
+The chain rule does not see jumps. A function with switches is therefore followed from t = 0 on. On each piece every
+switch has a fixed position, determined by its argument, a polynomial of degree one in time. The piece ends at the next
+zero of such an argument. At each end both one-sided limits are evaluated in ball arithmetic with fixed switches.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from dmframe.program import CONST, DIVISIONS, EDGES, INPUT, by_code, sign_of
 V = TypeVar("V")
 
 INSTANTS: Final = 200
-"""Switching instants that are followed; a function that switches for ever is left there."""
+"""Maximum number of switching instants that are followed; a periodic switch has infinitely many."""
 
 CONTINUOUS: Final = 1e-13
-"""What rounded literals, such as sin(1) in the code, may leave of a step that is none, relative to the function."""
+"""Largest step that rounded literals, such as sin(1) in the code, may cause, relative to the function."""
 
 LARGEST_POWER: Final = 16
-"""Of a polynomial, that is written out."""
+"""Largest power of a polynomial that is expanded."""
 
 _TIME: Final = fmpq_poly([0, 1])
 
 
 class NotFollowed(ArithmeticError):
-    """A switch whose argument is no polynomial of degree one in time."""
+    """The argument of a switch is not a polynomial of degree one in time."""
 
 
 @final
@@ -52,10 +52,10 @@ class Jump:
 @final
 @dataclass(frozen=True)
 class Course:
-    """What following a function gave: its switching instants, its first jump, and `until` when it was followed.
+    """Result of following a function: its switching instants, its first jump, and the time `until` which it is known.
 
-    `until` is None for a function that was followed for ever. `edged`: it holds a moving divisor, a root or the like,
-    at whose edge it can jump unseen.
+    `until` is None for a function that was followed for all time. `edged`: the function contains a moving divisor, a
+    root or a similar operation, at whose domain boundary a jump is not detected.
     """
 
     instants: tuple[Fraction, ...]
@@ -65,9 +65,9 @@ class Course:
 
 
 def moving_operations(tape: Tape, moving: Sequence[Sequence[bool]]) -> Iterator[tuple[int, int]]:
-    """(place, code) of what depends on a moving input; `moving` says it of each element of each input.
+    """(position, code) of instructions that depend on a moving input; `moving` has a flag for each element of an input.
 
-    The code of a whole power is that of `pow`.
+    The code of an integer power is that of `pow`.
     """
     given = tape.program.elements(moving)
     moves = list[bool]()
@@ -82,9 +82,9 @@ def moving_operations(tape: Tape, moving: Sequence[Sequence[bool]]) -> Iterator[
 
 @precise()
 def follow(tape: Tape, parameters: Sequence[Fraction]) -> Course:
-    """The course of a function of (t, parameters) from t = 0 on.
+    """Follow a function of (t, parameters) from t = 0 on.
 
-    Raises `NotFollowed` for a switch that cannot be followed, `UndecidedError` where the function may have no value.
+    Raises `NotFollowed` for a switch that cannot be followed, `UndecidedError` if the function may be undefined.
     """
     instants, edged = list[Fraction](), False
     begin, before = Fraction(0), None
@@ -105,13 +105,13 @@ def follow(tape: Tape, parameters: Sequence[Fraction]) -> Course:
 
 @final
 class _Piece:
-    """A function from `begin` to where it next switches, with every switch held in its position."""
+    """A function from `begin` to its next switching instant, with fixed switches."""
 
     def __init__(self, tape: Tape, parameters: Sequence[Fraction], begin: Fraction, moving: Container[int]) -> None:
         self._tape, self._parameters, self._begin = tape, parameters, begin
         self.end: Fraction | None = None
         self.edged = False
-        self._held = dict[int, Held]()
+        self._fixed = dict[int, Fixed]()
         self._inputs = self._given(_TIME, list(map(_polynomial, parameters)))
         self._values = list[fmpq_poly | None]()
         for k in range(len(tape)):
@@ -119,24 +119,24 @@ class _Piece:
             self.edged = self.edged or (self._values[-1] is None and k in moving and self._has_edge(k))
 
     def at(self, time: Fraction) -> list[arb]:
-        """The outputs' stored elements with all switches as on this piece: at its end, the limit from the left."""
+        """The outputs' stored elements with the switches of this piece; at its end, the limit from the left."""
 
-        def held(k: int, values: Sequence[arb]) -> arb | None:
+        def fixed(k: int, values: Sequence[arb]) -> arb | None:
             polynomial = self._values[k]
             if polynomial is not None:
                 return arb(polynomial(_rational(time)))
-            if k in self._held:
-                scale, place, offset = self._held[k]
+            if k in self._fixed:
+                scale, place, offset = self._fixed[k]
                 return arb(scale) * values[place] + arb(offset)
             return None
 
         program = self._tape.program
         given = self._given(ball(time), [ball(value) for value in self._parameters])
-        found = program.stored(enclosed(program, given, held=held))
+        found = program.stored(enclosed(program, given, override=fixed))
         return [value for output in found for value in output]
 
     def _has_edge(self, k: int) -> bool:
-        """True for a divisor that moves on the piece, and for a function that ends somewhere."""
+        """True for a moving divisor, and for a function with a bounded domain."""
         node, exponent = self._tape.nodes[k], self._tape.exponent(k)
         if exponent is None and node.code not in DIVISIONS:
             return node.code in EDGES or node.code == ca.OP_ATAN2
@@ -144,7 +144,7 @@ class _Piece:
         return (exponent is None or exponent < 0) and (divisor is None or divisor.degree() != 0)
 
     def _value(self, k: int) -> fmpq_poly | None:
-        """The polynomial in time that a node is on this piece, if it is one."""
+        """The value of a node as a polynomial in time on this piece, or None."""
         node = self._tape.nodes[k]
         if node.code == INPUT:
             return self._inputs[node.a][node.b]
@@ -154,11 +154,11 @@ class _Piece:
         if node.code in SWITCHES:
             deciding = values[:1] if node.code == ca.OP_IF_ELSE_ZERO else values
             if any(value is None for value in deciding):
-                raise NotFollowed(f"{sign_of(node.code)} of a function that is no polynomial in time")
+                raise NotFollowed(f"{sign_of(node.code)} of a function that is not a polynomial in time")
             scale, chosen, offset = SWITCHES[node.code](self, [value for value in deciding if value is not None])
-            self._held[k] = scale, node.operands[chosen], offset
-            held = values[chosen] if scale else fmpq_poly([])
-            return None if held is None else scale * held + offset
+            self._fixed[k] = scale, node.operands[chosen], offset
+            fixed = values[chosen] if scale else fmpq_poly([])
+            return None if fixed is None else scale * fixed + offset
         if any(value is None for value in values):
             return None
         known = [value for value in values if value is not None]
@@ -173,14 +173,14 @@ class _Piece:
         return self._tape.program.elements([[time], parameters][: len(self._tape.inputs)])
 
     def sign(self, x: fmpq_poly) -> int:
-        """The sign of a polynomial right after the piece begins; the piece ends where it changes."""
+        """Sign of a polynomial just after the start of the piece; the piece ends where the sign changes."""
         value, slope = self._line(x)
         if slope and value * slope < 0:
             self._ends(self._begin - value / slope)
         return _sign(value) or _sign(slope)
 
     def whole(self, x: fmpq_poly) -> Fraction:
-        """The floor of a polynomial right after the piece begins; the piece ends where it changes."""
+        """Floor of a polynomial just after the start of the piece; the piece ends where the floor changes."""
         value, slope = self._line(x)
         floor = Fraction(value.__floor__())
         if slope > 0:
@@ -191,7 +191,7 @@ class _Piece:
         return floor
 
     def _line(self, x: fmpq_poly) -> tuple[Fraction, Fraction]:
-        """Value and slope where the piece begins."""
+        """Value and slope at the start of the piece."""
         if x.degree() > 1:
             raise NotFollowed(f"a switch at the roots of a polynomial of degree {x.degree()} in time")
         return _fraction(x(_rational(self._begin))), _fraction(x[1])
@@ -201,8 +201,8 @@ class _Piece:
             self.end = time
 
 
-Held = tuple[fmpq, int, fmpq]
-"""What a switch is on a piece: so many times one of its arguments, plus a number."""
+Fixed = tuple[fmpq, int, fmpq]
+"""A switch on a piece: a factor, the index of an argument, and an offset."""
 
 _ZERO, _ONE = fmpq(0), fmpq(1)
 
@@ -219,13 +219,13 @@ def _fraction(x: fmpq) -> Fraction:
     return Fraction(int(x.p), int(x.q))
 
 
-def _number(value: bool) -> Held:
+def _number(value: bool) -> Fixed:
     return _ZERO, 0, fmpq(value)
 
 
 def _constant(x: fmpq_poly) -> fmpq:
     if x.degree() > 0:
-        raise NotFollowed("a condition or a period that is no constant between switching instants")
+        raise NotFollowed("a condition or a period that is not constant between switching instants")
     return x[0]
 
 
@@ -234,29 +234,29 @@ def _truncated(piece: _Piece, x: fmpq_poly, period: fmpq) -> Fraction:
     return piece.whole(turns) if piece.sign(turns) >= 0 else -piece.whole(-turns)
 
 
-def _modulo(count: Callable[[_Piece, fmpq_poly, fmpq], Fraction]) -> Callable[[_Piece, list[fmpq_poly]], Held]:
-    def held(piece: _Piece, values: list[fmpq_poly]) -> Held:
+def _modulo(count: Callable[[_Piece, fmpq_poly, fmpq], Fraction]) -> Callable[[_Piece, list[fmpq_poly]], Fixed]:
+    def fixed(piece: _Piece, values: list[fmpq_poly]) -> Fixed:
         period = _constant(values[1])
         if not period:
             raise UndecidedError("a period of zero")
         return _ONE, 0, -period * _rational(count(piece, values[0], period))
 
-    return held
+    return fixed
 
 
-def _compared(true: Callable[[int], bool]) -> Callable[[_Piece, list[fmpq_poly]], Held]:
+def _compared(true: Callable[[int], bool]) -> Callable[[_Piece, list[fmpq_poly]], Fixed]:
     return lambda piece, values: _number(true(piece.sign(values[0] - values[1])))
 
 
-def _chosen(lower: bool) -> Callable[[_Piece, list[fmpq_poly]], Held]:
+def _chosen(lower: bool) -> Callable[[_Piece, list[fmpq_poly]], Fixed]:
     return lambda piece, values: (_ONE, int((piece.sign(values[0] - values[1]) > 0) is lower), _ZERO)
 
 
-def _copied(piece: _Piece, values: list[fmpq_poly]) -> Held:
+def _copied(piece: _Piece, values: list[fmpq_poly]) -> Fixed:
     return fmpq((piece.sign(values[0]) or 1) * (piece.sign(values[1]) or 1)), 0, _ZERO
 
 
-SWITCHES: Final[Mapping[int, Callable[[_Piece, list[fmpq_poly]], Held]]] = by_code(
+SWITCHES: Final[Mapping[int, Callable[[_Piece, list[fmpq_poly]], Fixed]]] = by_code(
     {
         "sign": lambda piece, values: (_ZERO, 0, fmpq(piece.sign(values[0]))),
         "fabs": lambda piece, values: (fmpq(piece.sign(values[0])), 0, _ZERO),
@@ -277,7 +277,7 @@ SWITCHES: Final[Mapping[int, Callable[[_Piece, list[fmpq_poly]], Held]]] = by_co
         "copysign": _copied,
     }
 )
-"""How each switch is held on a piece. atan2, which jumps too, is not followed."""
+"""Affine form of each switch on a piece. atan2, which has a jump too, is not supported."""
 
 
 def _sign(x: Fraction) -> int:

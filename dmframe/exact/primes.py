@@ -1,4 +1,4 @@
-"""Primes for exact tests: drawn at random, so that no expression can be hostile to one of them."""
+"""Primes for exact tests, drawn at random so that no expression can be constructed against them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import Final
 from dmframe.common.errors import ValueFault
 
 MERSENNE_127: Final = 2**127 - 1
-"""A prime that people can recognise in a report."""
+"""A well-known prime, easy to recognise in a report."""
 
 MINIMUM_BITS: Final = 121
 
 
 @lru_cache(maxsize=4096)  # a repeated proof draws the same primes
 def is_prime(number: int) -> bool:
-    """True for a proved prime: FLINT proves those that pass its test of probable primes."""
-    from flint import fmpz  # a run that proves nothing does not load it
+    """True for a proved prime: FLINT proves the primality of probable primes."""
+    from flint import fmpz  # not loaded by a run without a proof
 
     return bool(fmpz(number).is_prime())
 
 
 def random_prime(rng: random.Random, bits: int = 127) -> int:
-    """A prime of exactly `bits` bits, each equally likely: the error bound of `zero_test` counts on that.
+    """A uniformly random prime of exactly `bits` bits, as the error bound of `zero_test` requires.
 
-    Raises `ValueFault` for fewer than 121 bits, where one trial would no longer say enough.
+    Raises `ValueFault` for fewer than 121 bits, with which the error bound of one trial is too large.
     """
     if bits < MINIMUM_BITS:
         raise ValueFault(f"random prime: expected at least {MINIMUM_BITS} bits, found {bits}; 127 is the usual choice")

@@ -1,7 +1,7 @@
-"""The range of an expression of any operations over intervals of its symbols.
+"""Range of an expression with any operations over intervals of its symbols.
 
-A ball of 256 bits loses nothing where terms cancel, and forgets sharp ends: the square of [-1, 1] is a ball of radius
-1 about 0.5 at best. Intervals of floats have sharp ends and few digits. A range is the common part of both.
+256-bit balls lose no accuracy by cancellation, but their ends are not sharp: the square of [-1, 1] is at best a ball of
+radius 1 about 0.5. Intervals of floats have sharp ends and few digits. The range is the intersection of both.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Ends = list[tuple[float, float]]
 
 
 def ranges(program: Program, inputs: Given) -> list[Interval]:
-    """The elements of a program's first output; an input is a list of its stored elements.
+    """Ranges of the elements of a program's first output; an input is a list of its stored elements.
 
-    Raises `UndecidedError` where an end is not found, or an operation not known.
+    Raises `UndecidedError` if a bound cannot be computed or an operation has no rule.
     """
     wide = any(isinstance(value, Interval) for column in inputs for value in column)
-    ways: list[Callable[[Program, Given], Ends]] = [_in_balls, *[_in_floats] * wide]
+    methods: list[Callable[[Program, Given], Ends]] = [_in_balls, *[_in_floats] * wide]
     found, reasons = list[Ends](), list[str]()
-    for way in ways:
+    for method in methods:
         try:
-            found.append(way(program, inputs))
+            found.append(method(program, inputs))
         except (ValueFault, UndecidedError) as error:
             reasons.append(error.text)
     if not found:
@@ -56,7 +56,7 @@ def _in_floats(program: Program, inputs: Given) -> Ends:
     values = enclosing.values([[_box(value) for value in column] for column in inputs])
     ends = [(float(value.lower), float(value.upper)) for value in program.dense(values, Enclosure.of(0.0))[0]]
     if np.any(np.isnan(ends)):
-        raise UndecidedError("an operation is not defined over the whole of its interval")
+        raise UndecidedError("an operation is not defined on its whole interval")
     return ends
 
 

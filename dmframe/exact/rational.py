@@ -1,4 +1,4 @@
-"""Expressions evaluated in rational numbers and in intervals with rational ends: signs without rounding."""
+"""Evaluation of expressions in rational numbers and in intervals with rational ends: signs without rounding errors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Interval:
 
     @staticmethod
     def of(value: Fraction | Interval) -> Interval:
-        """A number as an interval of no width."""
+        """A number as an interval of zero width."""
         return value if isinstance(value, Interval) else Interval(value, value)
 
     def __add__(self, other: Fraction | Interval) -> Interval:
@@ -53,15 +53,15 @@ class Interval:
         return Interval.of(Fraction(other)) / self
 
     def square(self) -> Interval:
-        """Not the product with itself, which forgets that both factors are one."""
+        """Square; tighter than the product with itself, in which the factors count as independent."""
         ends = sorted((self.lower * self.lower, self.upper * self.upper))
         return Interval(Fraction(0) if self.lower <= 0 <= self.upper else ends[0], ends[1])
 
 
 def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[list[Fraction | Interval]]:
-    """The outputs of an SX function of field operations, exactly.
+    """Exact outputs of an SX function of field operations.
 
-    Raises `ValueFault` for any other function (sin, tanh, ...), ZeroDivisionError where a divisor is, or holds, zero.
+    Raises `ValueFault` for any other function (sin, tanh, ...), ZeroDivisionError if a divisor is or contains zero.
     """
     program = read(f)
     values = run(
@@ -77,7 +77,7 @@ def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[li
 
 
 def known_values(program: Program, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[Fraction | Interval | None]:
-    """The elements of all outputs; None for each that needs something where `evaluate` raises, or a free symbol."""
+    """Elements of all outputs; None for one that depends on a free symbol or on what `evaluate` cannot compute."""
     values = list[Fraction | Interval | None]()
     for node in program.nodes:
         value: Any = None
@@ -94,7 +94,7 @@ def known_values(program: Program, inputs: Sequence[Sequence[Fraction | Interval
 
 
 def as_float(value: Fraction | Interval) -> float:
-    """The nearest float, for people to read: infinite beyond the largest one; of an interval, its lower end."""
+    """The nearest float, for display: infinite beyond the largest one; of an interval, its lower end."""
     exact = value.lower if isinstance(value, Interval) else value
     try:
         return float(exact)

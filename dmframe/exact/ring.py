@@ -1,4 +1,4 @@
-"""The evaluation of a tape in any ring: residues, sizes, or reals."""
+"""Evaluation of a tape in any ring: residues, sizes, or reals."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ _ADD, _SUB, _MUL, _DIV, _NEG, _SQ, _TWICE, _INV = (
 
 
 class Ring(Protocol):
-    """Numbers with +, - and *, and what else a program needs. Their type depends on the ring."""
+    """Numbers with +, - and *, and the further operations of a program. The type of a number depends on the ring."""
 
     def number(self, value: Fraction) -> Any:
         """An exact number."""
 
     def reduced(self, value: Any) -> Any:
-        """The same number in a small representation."""
+        """The same number in a canonical, small representation."""
 
     def inverse(self, value: Any) -> Any:
-        """1 / value; raises where the value vanishes."""
+        """1 / value; raises if the value is zero."""
 
     def power(self, value: Any, exponent: int) -> Any:
-        """A whole power."""
+        """An integer power."""
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """The value of an operation by CasADi's name."""
+        """The value of an operation, by CasADi's name."""
 
 
 def compute(
     tape: Tape, ring: Ring, values: list[Any], inputs: Sequence[Sequence[Any]], places: Iterable[int] | None = None
 ) -> None:
-    """Enter the numbers of these instructions, in order; of all without `places`."""
+    """Enter the values of the instructions at `places`, in order; by default of all."""
     given, nodes, reduced = tape.program.elements(inputs), tape.nodes, ring.reduced
     for place in range(len(nodes)) if places is None else places:
         code, a, b, constant, _ = nodes[place]
@@ -71,16 +71,16 @@ def compute(
 def evaluated(
     tape: Tape, ring: Ring, inputs: Sequence[Sequence[Any]], places: Iterable[int] | None = None
 ) -> list[Any]:
-    """The numbers of all instructions, or of these; the others are 0."""
+    """Values of all instructions, or of those at `places`; the others are 0."""
     values: list[Any] = [0] * len(tape)
     compute(tape, ring, values, inputs, places)
     return values
 
 
 def needed(tape: Tape, outputs: Iterable[int]) -> tuple[int, ...]:
-    """Places of the instructions that these outputs need, in order."""
-    wanted = {place for j in outputs for place in tape.program.sources[j]}
+    """Positions of the instructions that these outputs depend on, in order."""
+    required = {place for j in outputs for place in tape.program.sources[j]}
     for place in range(len(tape) - 1, -1, -1):
-        if place in wanted:
-            wanted.update(tape.nodes[place].operands)
-    return tuple(sorted(wanted))
+        if place in required:
+            required.update(tape.nodes[place].operands)
+    return tuple(sorted(required))

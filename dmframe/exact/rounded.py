@@ -1,10 +1,10 @@
-r"""Enclosures of large matrices in floats: middles and radii, whatever order a library sums in.
+r"""Enclosures of large matrices in floats, as midpoints and radii, valid for any order of summation.
 
-With u = 2^-53 and sums of n products, in any order and with or without fused operations,
+With u = 2^-53 and sums of n products, in any order, with or without fused operations,
 
 .. math:: |fl(A B) - A B| \le \gamma_n |A| |B| + n\, 2^{-1074}, \qquad \gamma_n = \frac{n u}{1 - n u}
 
-[Rump2010]_ has the method; radii are sums of numbers that are not negative, enlarged by what they lose.
+[Rump2010]_ describes the method; radii are sums of nonnegative numbers, enlarged by their rounding errors.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LEAST: Final = 2.0**-1022
 
 @final
 class Rounded:
-    """All matrices whose elements lie within `radius` of `middle`."""
+    """All matrices whose elements are within `radius` of `middle`."""
 
     __slots__ = ("middle", "radius")
 
@@ -34,23 +34,23 @@ class Rounded:
 
     @staticmethod
     def of(matrix: arb_mat) -> Rounded:
-        """A matrix of balls of many bits, in floats."""
+        """Enclosure in floats of a high-precision ball matrix."""
         middle, radius = middles(matrix), radii(matrix)
         return Rounded(middle, (radius + np.abs(middle) * 2 * _UNIT) * (1 + 8 * _UNIT) + _LEAST)
 
     @staticmethod
     def exactly(middle: Array) -> Rounded:
-        """Floats, as they are."""
+        """Exact floats, with zero radius."""
         return Rounded(middle, np.zeros_like(middle))
 
     @property
     def finite(self) -> bool:
-        """True where nothing has overflowed."""
+        """True if no element has overflowed."""
         return bool(np.all(np.isfinite(self.middle)) and np.all(np.isfinite(self.radius)))
 
     def __matmul__(self, other: Rounded) -> Rounded:
         n = self.middle.shape[1]
-        lost = 2 * n * _UNIT  # above gamma for every n that fits a memory
+        lost = 2 * n * _UNIT  # exceeds gamma for every n that fits into memory
         size = np.abs(other.middle)
         spread = np.abs(self.middle) @ (other.radius + lost * size + _LEAST) + self.radius @ (size + other.radius)
         return Rounded(self.middle @ other.middle, spread * (1 + 4 * (n + 4) * _UNIT) + 4 * (n + 1) * _LEAST)
@@ -62,17 +62,17 @@ class Rounded:
 
     @property
     def norm(self) -> float:
-        """At least the largest sum of absolute values in a row."""
+        """Upper bound on the largest sum of absolute values in a row."""
         n = self.middle.shape[1]
         largest = float(np.max(np.sum(np.abs(self.middle) + self.radius, axis=1), initial=0.0))
         return float(largest * (1 + 2 * (n + 2) * _UNIT))
 
 
 def similar(F: Rounded, basis: Array) -> Rounded | None:
-    r"""An enclosure of matrices with the same eigenvalues: of :math:`X^{-1} F X`, for an X whose inverse is proved.
+    r"""Enclosure of matrices with the same eigenvalues: of :math:`X^{-1} F X`, for an X whose invertibility is proved.
 
-    With Y an approximate inverse and E = 1 - Y X, it is :math:`(1 - E)^{-1} Y F X`: in the largest element, each column
-    is within |E|/(1 - |E|) of that of Y F X.
+    With Y an approximate inverse and E = 1 - Y X, it is :math:`(1 - E)^{-1} Y F X`. In the maximum norm, each column is
+    within |E|/(1 - |E|) of that of Y F X.
     """
     try:
         inverse = np.asarray(np.linalg.inv(basis), dtype=np.float64)
@@ -95,7 +95,7 @@ _TOO_LARGE: Final = 1e60
 
 
 def falls(F: Rounded) -> bool:
-    """True where a power of every matrix in the enclosure is proved to have a norm below one."""
+    """True if a power of every matrix in the enclosure is proved to have a norm below one."""
     for _ in range(_MOST_SQUARINGS):
         if not F.finite or F.norm > _TOO_LARGE:
             return False
@@ -106,7 +106,7 @@ def falls(F: Rounded) -> bool:
 
 
 def gram(numbers: Array) -> Array:
-    r"""About :math:`\sum_k (F^k)^\top F^k`, by doubling: not proved, and infinite where F is not stable."""
+    r"""Approximation of :math:`\sum_k (F^k)^\top F^k`, by doubling; not proved, and infinite if F is not stable."""
     P, power = np.eye(len(numbers)), numbers
     with np.errstate(all="ignore"):
         for _ in range(_MOST_SQUARINGS):

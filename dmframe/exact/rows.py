@@ -1,4 +1,4 @@
-"""Sparse matrices of balls: what is not stored is zero, exactly."""
+"""Sparse ball matrices: an element that is not stored is exactly zero."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Row = dict[int, arb]
 
 
 def stored_rows(program: Program, values: Sequence[arb], rows: int) -> list[Row]:
-    """The first output of a program, row by row, of the values of its nodes."""
+    """Rows of the first output of a program, from the values of its nodes."""
     found: list[Row] = [{} for _ in range(rows)]
     for place, value in zip(program.outputs[0].places, program.stored(values)[0], strict=True):
         if not value.is_zero():
@@ -23,7 +23,7 @@ def stored_rows(program: Program, values: Sequence[arb], rows: int) -> list[Row]
 
 @precise()
 def combined(factors: Mapping[int, arb], rows: Sequence[Row] | Mapping[int, Row]) -> Row:
-    """The sum of rows, each times its factor; what cancels exactly is left out."""
+    """Linear combination of rows; elements that cancel exactly are removed."""
     found: Row = {}
     for place, factor in factors.items():
         for column, value in rows[place].items():
@@ -33,22 +33,22 @@ def combined(factors: Mapping[int, arb], rows: Sequence[Row] | Mapping[int, Row]
 
 
 def product(left: Sequence[Row], right: Sequence[Row]) -> list[Row]:
-    """The product of two matrices."""
+    """Matrix product."""
     return [combined(row, right) for row in left]
 
 
 def dense(rows: Sequence[Row], columns: int) -> arb_mat:
-    """The same as a matrix that stores everything."""
+    """The same matrix in dense storage."""
     return arb_mat(len(rows), columns, [row.get(column, ZERO) for row in rows for column in range(columns)])
 
 
 def sparse(matrix: arb_mat) -> list[Row]:
-    """The elements of a matrix that are not zero, exactly."""
+    """Nonzero elements of a matrix, by rows."""
     return [{column: v for column, v in enumerate(row) if not v.is_zero()} for row in matrix.tolist()]
 
 
 def picked(rows: Sequence[Row], places: Sequence[int]) -> list[Row]:
-    """Some columns, in that order."""
+    """Some columns, in the given order."""
     order = {place: k for k, place in enumerate(places)}
     return [{order[column]: value for column, value in row.items() if column in order} for row in rows]
 

@@ -1,8 +1,8 @@
 r"""Evaluation at two points between which sines, cosines and other bounded functions keep their values.
 
-With such functions frozen, :math:`f(x + u) - f(x)` sees only how f depends on x outside of them: it vanishes, at a
-random point and for random multiples of u, iff f depends on x along u through bounded functions alone. A joint angle
-that turns and turns leaves such an f bounded.
+With these functions frozen, :math:`f(x + u) - f(x)` depends only on how f depends on x outside of them. It vanishes,
+at a random point and for random multiples of u, iff f depends on x along u through bounded functions alone. Such an f
+stays bounded if, for example, a joint angle increases without bound.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from dmframe.exact.trial import Trial, ZeroDivision
 from dmframe.program import OPERATIONS
 
 BOUNDED = frozenset(operation.name for operation in OPERATIONS.values() if operation.bounded)
-"""Functions that no argument makes large; sin, cos and sign are not called by name."""
+"""Functions with a bounded range; sin, cos and sign are not called by name."""
 
 
 @final
 class _Frozen(Trial):
-    """A trial whose bounded functions give, call by call, what they gave the first time."""
+    """A trial in which each call of a bounded function returns what the same call of the first evaluation returned."""
 
     def __init__(self, prime: int, rng: random.Random) -> None:
         super().__init__(prime, rng)
         self._recorded: list[tuple[int, int]] = []
         self._next: int | None = None
 
-    def begin(self, *, again: bool) -> None:
-        """Start to record, or to repeat what has been recorded."""
-        if again:
+    def begin(self, *, replay: bool) -> None:
+        """Start to record, or to replay the record."""
+        if replay:
             self._next = 0
         else:
             self._recorded, self._next = [], None
@@ -40,11 +40,11 @@ class _Frozen(Trial):
         return self._recorded_value() or self._record(super().cos_sin(angle))
 
     def sign(self, value: int) -> int:
-        """Return some number, and the same again: x - x s is no more bounded than x, whatever s is."""
+        """Return a random number, the same at both points: x - x s is not bounded, for any s."""
         return (self._recorded_value() or self._record((self.random(), 0)))[0]
 
     def size(self, value: int) -> int:
-        """Of an absolute value nothing is known, but that it is even: no argument bounds it."""
+        """Return the absolute value as an opaque even function, since it has no bound."""
         return self.opaque("fabs", (min(value, self.prime - value),))
 
     def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
@@ -65,7 +65,7 @@ class _Frozen(Trial):
 
 @final
 class Shift:
-    """Differences of functions along directions, in one random prime field."""
+    """Differences of functions along directions, in a random prime field."""
 
     def __init__(self, prime: int, rng: random.Random) -> None:
         self.prime = prime
@@ -76,12 +76,12 @@ class Shift:
         return self._trial.residue(value)
 
     def random(self) -> int:
-        """A residue, each equally likely."""
+        """A uniformly random residue."""
         return self._trial.random()
 
     def values(self, tape: Tape, point: Sequence[Sequence[int]]) -> list[int]:
         """All outputs at a point."""
-        self._trial.begin(again=False)
+        self._trial.begin(replay=False)
         return [value for output in tape.evaluate(point, self._trial) for value in output]
 
     def difference(
@@ -94,7 +94,7 @@ class Shift:
         here = self.values(tape, point)
         found = []
         for there in moved:
-            self._trial.begin(again=True)
+            self._trial.begin(replay=True)
             flat = [value for output in tape.evaluate(there, self._trial) for value in output]
             found.append([(a - b) % self.prime for a, b in zip(flat, here, strict=True)])
         return found

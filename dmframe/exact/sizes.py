@@ -1,4 +1,4 @@
-"""Bounds on degrees and coefficients of what a program computes: the ring with which an error bound is derived."""
+"""Bounds on degrees and coefficients of the values of a program: the ring from which error bounds are derived."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Size:
     __radd__, __sub__, __rsub__, __rmul__ = __add__, __add__, __add__, __mul__
 
     def power(self, exponent: int) -> Size:
-        """A whole power."""
+        """An integer power."""
         n = abs(exponent)
         size = Size(n * self.degree, n * self.denominator, n * self.height, n * self.height_denominator)
         if exponent >= 0:
@@ -63,18 +63,18 @@ _ONE: Final = Size(0, 0, 1, 1)
 
 
 def free() -> Size:
-    """A free symbol: an object of its own, since the ring distinguishes values by their identity."""
+    """A free symbol: always a new object, since the ring distinguishes values by identity."""
     return Size(1, 0, 0, 0)
 
 
 @final
 @dataclass(frozen=True)
 class Bound:
-    """What the probability of a wrong answer depends on.
+    """Quantities that determine the probability of a wrong result.
 
-    `degree` is that of the outputs' numerators (the largest of them), `height` log2 of the size of their integer
-    coefficients. `degree_total` and `height_total` add what else can go wrong at a random point: a vanishing
-    denominator, and two different arguments of one function that happen to be equal.
+    `degree` is the largest degree of the outputs' numerators, `height` log2 of the size of their integer coefficients.
+    `degree_total` and `height_total` add the other failures at a random point: a vanishing denominator, and two
+    different arguments of one function with equal values.
     """
 
     degree: int
@@ -87,7 +87,7 @@ class Bound:
 class Sizes:
     """The ring of sizes; it counts the polynomials that must not vanish at a random point.
 
-    The free symbols are the inputs, one t for each point of the circle, and one symbol for each opaque value.
+    The free symbols are the inputs, one t for each point of the unit circle, and one symbol for each opaque value.
     """
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ class Sizes:
         return Size(0, 0, abs(value.numerator).bit_length(), value.denominator.bit_length())
 
     def inputs(self, tape: Tape, fixed: Mapping[int, Sequence[Fraction | None]]) -> list[list[Size]]:
-        """Free symbols for a tape's inputs, but for elements with known values."""
+        """Free symbols for a tape's inputs, except for elements with known values."""
         known = [fixed.get(position, [None] * size) for position, (_, size) in enumerate(tape.inputs)]
         return [[free() if value is None else self.number(value) for value in values] for values in known]
 
@@ -112,15 +112,15 @@ class Sizes:
         value = _sized(value)
         found = self._inverses.get(id(value))
         if found is None:
-            found = self._inverses[id(value)] = (value, value.power(-1))  # the key lives as long as its object
+            found = self._inverses[id(value)] = (value, value.power(-1))  # keeps the object alive, and so its id unique
         return found[1]
 
     def power(self, value: Size, exponent: int) -> Size:
-        """A whole power."""
+        """An integer power."""
         return value.power(exponent) if exponent >= 0 else self.inverse(value).power(-exponent)
 
     def call(self, name: str, *given: Size | int) -> Size:
-        """A function's value: a point of the circle, a free symbol, or an argument times a sign."""
+        """Size of a function's value: a point of the circle, a free symbol, or an argument times a sign."""
         arguments = tuple(map(_sized, (*given, _ONE) if name == "if_else_zero" else given))
         function = {"cos": "sin", "fabs": "sign"}.get(name, name)
         self._calls[function][tuple(map(id, arguments))] = arguments
@@ -129,17 +129,17 @@ class Sizes:
         return arguments[0] * free() if name == "fabs" else free()
 
     def bound(self, outputs: Iterable[Size]) -> Bound:
-        """The bound for these outputs, of which each is to be zero."""
+        """Bound for the test that each of these outputs is zero."""
         degree = height = 0
         for size in outputs:
             degree, height = max(degree, size.degree), max(height, size.height)
-        doubts = [(value.degree, value.height) for value, _ in self._inverses.values()]
+        failures = [(value.degree, value.height) for value, _ in self._inverses.values()]
         for function, found in self._calls.items():
             arguments = {id(argument): argument for given in found.values() for argument in given}
-            doubts.append(_coincidences(list(arguments.values())))
+            failures.append(_coincidences(list(arguments.values())))
             if function == "sin":
-                doubts.append((2 * len(arguments), len(arguments)))
-        return Bound(degree, height, degree + sum(d for d, _ in doubts), height + sum(h for _, h in doubts))
+                failures.append((2 * len(arguments), len(arguments)))
+        return Bound(degree, height, degree + sum(d for d, _ in failures), height + sum(h for _, h in failures))
 
 
 def _coincidences(arguments: list[Size]) -> tuple[int, int]:
@@ -150,7 +150,7 @@ def _coincidences(arguments: list[Size]) -> tuple[int, int]:
 
 
 def degrees(tape: Tape, fixed: Mapping[int, Sequence[Fraction | None]] | None = None) -> Bound:
-    """Bounds on a tape's outputs in their free symbols; `fixed` gives inputs, or elements, known values."""
+    """Bounds on a tape's outputs as functions of their free symbols; `fixed` contains known inputs or elements."""
     ring = Sizes()
     values = evaluated(tape, ring, ring.inputs(tape, fixed or {}))
     return ring.bound(size for output in tape.program.stored(values) for size in output)

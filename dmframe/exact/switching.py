@@ -1,8 +1,8 @@
-"""Enclosures of functions that switch: where a comparison is not decided over an interval, both of its values count.
+"""Enclosures of functions with switches: an undecided comparison over an interval has both values.
 
-The rules extend those of `dmframe.exact.enclosure`. Over an interval on which a function may jump its derivative bounds
-nothing, so `over_pieces` reports the places. There it evaluates the function once for each way in which its switches
-can turn out: a function that is continuous where it switches then has a narrow range over a narrow interval.
+The rules extend those of `dmframe.exact.enclosure`. On an interval with a possible jump the derivative gives no bound,
+so `over_pieces` reports these intervals and evaluates the function there for each combination of switch positions. A
+function that is continuous at its switches then has a narrow range over a narrow interval.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MOST_SWITCHES: Final = 4
 
 
 def _truth(yes: Any, no: Any) -> Enclosure:
-    """One where it holds, zero where it does not, both where neither is sure."""
+    """One if true, zero if false, the interval of both if undecided."""
     return Enclosure(np.where(yes, 1.0, 0.0), np.where(no, 0.0, 1.0))
 
 
@@ -41,27 +41,27 @@ def _equal(a: Enclosure, b: Enclosure) -> Enclosure:
     return _truth(same, (a.upper < b.lower) | (b.upper < a.lower))
 
 
-def _set(a: Enclosure) -> Enclosure:
-    """Whether a number is other than zero."""
+def _nonzero(a: Enclosure) -> Enclosure:
+    """Whether a number is nonzero."""
     return _truth((a.lower > 0) | (a.upper < 0), (a.lower == 0) & (a.upper == 0))
 
 
 def _not(a: Enclosure) -> Enclosure:
-    found = _set(a)
+    found = _nonzero(a)
     return Enclosure(1 - found.upper, 1 - found.lower)
 
 
 def _both(a: Enclosure, b: Enclosure) -> Enclosure:
-    return _least(_set(a), _set(b))
+    return _least(_nonzero(a), _nonzero(b))
 
 
 def _either(a: Enclosure, b: Enclosure) -> Enclosure:
-    return _greatest(_set(a), _set(b))
+    return _greatest(_nonzero(a), _nonzero(b))
 
 
 def _where(condition: Enclosure, x: Enclosure) -> Enclosure:
-    """X, zero, or all between them."""
-    found = _set(condition)
+    """X, zero, or the interval between them."""
+    found = _nonzero(condition)
     yes, no = found.lower == 1, found.upper == 0
     lower = np.where(yes, x.lower, np.where(no, 0.0, np.minimum(x.lower, 0.0)))
     return Enclosure(lower, np.where(yes, x.upper, np.where(no, 0.0, np.maximum(x.upper, 0.0))))
@@ -93,8 +93,8 @@ def _ceil(a: Enclosure) -> Enclosure:
     return Enclosure(np.ceil(a.lower), np.ceil(a.upper))
 
 
-def _rest(a: Enclosure, b: Enclosure, whole: Callable[[Any], Any], most: Enclosure) -> Enclosure:
-    """A - b k, with k the whole quotient where it is one over the interval; else all numbers of `most`."""
+def _modulo(a: Enclosure, b: Enclosure, whole: Callable[[Any], Any], most: Enclosure) -> Enclosure:
+    """A - b k for the quotient k rounded to an integer, if k is the same over the interval; otherwise `most`."""
     quotient = a / b
     k = whole(quotient.lower)
     sure = np.isfinite(k) & (k == whole(quotient.upper))
@@ -105,22 +105,22 @@ def _rest(a: Enclosure, b: Enclosure, whole: Callable[[Any], Any], most: Enclosu
 def _fmod(a: Enclosure, b: Enclosure) -> Enclosure:
     size = b.magnitude
     most = Enclosure(np.where(a.lower >= 0, 0.0, -size), np.where(a.upper <= 0, 0.0, size))
-    return _rest(a, b, np.trunc, most)
+    return _modulo(a, b, np.trunc, most)
 
 
 def _remainder(a: Enclosure, b: Enclosure) -> Enclosure:
     half = up(b.magnitude / 2)
-    return _rest(a, b, np.rint, Enclosure(-half, half))
+    return _modulo(a, b, np.rint, Enclosure(-half, half))
 
 
 def _root(a: Enclosure) -> Enclosure:
-    """IEEE 754's root is the nearest number to the true one; no number where the operand may be negative."""
+    """Square root, correctly rounded by IEEE 754; NaN if the operand may be negative."""
     with np.errstate(invalid="ignore"):
         return Enclosure(np.maximum(down(np.sqrt(a.lower)), 0.0), up(np.sqrt(a.upper)))
 
 
 def _power(a: Enclosure, b: Enclosure) -> Any:
-    """Whole powers and the root; others are refused."""
+    """Integer powers and the square root; no other powers."""
     if b.lower.ndim or b.lower != b.upper:
         return NotImplemented
     k = float(b.lower)
@@ -137,7 +137,7 @@ def _power(a: Enclosure, b: Enclosure) -> Any:
 
 
 def _rising(rule: Callable[[arb], arb]) -> Callable[[Enclosure], Enclosure]:
-    """A function that rises, by the ends of the interval, each in ball arithmetic."""
+    """Enclosure of an increasing function from the ends of the interval, each in ball arithmetic."""
 
     @precise()
     def ends(x: float) -> tuple[float, float]:
@@ -173,11 +173,11 @@ SWITCHING: Final = RULES | by_code(
         "tanh": _rising(arb.tanh),
     }
 )
-"""The rules of enclosures, and those of operations that switch."""
+"""Rules of enclosures, including those of operations with switches."""
 
 _CHOICES: Final = by_code({"if_else_zero": None})
-"""It jumps where its condition does, which is a value of its own."""
-_RESTS: Final = by_code({"fmod": np.trunc, "remainder": np.rint})
+"""It jumps where its condition does, and the condition is a node of its own."""
+_REMAINDERS: Final = by_code({"fmod": np.trunc, "remainder": np.rint})
 _STEPS: Final = by_code({"floor": None, "ceil": None})
 _SIGNS: Final = by_code({"sign": None})
 
@@ -185,39 +185,41 @@ _SIGNS: Final = by_code({"sign": None})
 def over_pieces(
     f: Enclosing, inputs: Sequence[Sequence[Any]], shape: tuple[int, ...]
 ) -> tuple[list[Enclosure], NDArray[np.bool_]]:
-    """The elements of a function's first output; and where the function may jump over its interval."""
+    """Elements of a function's first output, and a flag for each interval on which the function may jump."""
     values = f.values(inputs)
-    jumps, ways = np.zeros(shape, dtype=bool), dict[int, list[Enclosure]]()
+    jumps, positions = np.zeros(shape, dtype=bool), dict[int, list[Enclosure]]()
     for place, (node, value) in enumerate(zip(f.program.nodes, values, strict=True)):
-        if node.code in _RESTS:
-            value = _quotient(node, values)  # it jumps where this does
+        if node.code in _REMAINDERS:
+            value = _quotient(node, values)  # a remainder jumps where its quotient does
         if node.code in JUMPS and node.code not in _CHOICES and not np.all(value.lower == value.upper):
             jumps |= ~(value.lower == value.upper)
             if node.code in COMPARISONS or node.code in _SIGNS:
-                ways[place] = [Enclosure.of(k) for k in (0.0, 1.0, -1.0)[: 2 + (node.code in _SIGNS)]]
-            elif node.code in (*_STEPS, *_RESTS) and np.all(value.upper - value.lower <= 1):
-                ways[place] = [Enclosure.of(value.lower), Enclosure.of(value.upper)]
+                positions[place] = [Enclosure.of(k) for k in (0.0, 1.0, -1.0)[: 2 + (node.code in _SIGNS)]]
+            elif node.code in (*_STEPS, *_REMAINDERS) and np.all(value.upper - value.lower <= 1):
+                positions[place] = [Enclosure.of(value.lower), Enclosure.of(value.upper)]
     (found,) = f.program.stored(values)
-    if not ways or len(ways) > _MOST_SWITCHES:
+    if not positions or len(positions) > _MOST_SWITCHES:
         return found, jumps
-    outcomes = [_turned_out(f, inputs, dict(zip(ways, chosen, strict=True))) for chosen in product(*ways.values())]
+    outcomes = [
+        _with_switches(f, inputs, dict(zip(positions, chosen, strict=True))) for chosen in product(*positions.values())
+    ]
     return [_hull(elements) for elements in zip(*outcomes, strict=True)], jumps
 
 
 def _quotient(node: Node, values: Sequence[Enclosure]) -> Enclosure:
-    """Which whole multiple of the divisor a rest leaves out."""
-    quotient, whole = values[node.a] / values[node.b], _RESTS[node.code]
+    """The integer quotient of a remainder operation."""
+    quotient, whole = values[node.a] / values[node.b], _REMAINDERS[node.code]
     return Enclosure(whole(quotient.lower), whole(quotient.upper))
 
 
-def _turned_out(f: Enclosing, inputs: Sequence[Sequence[Any]], chosen: Mapping[int, Enclosure]) -> list[Enclosure]:
-    """The first output with some switches as they may turn out."""
+def _with_switches(f: Enclosing, inputs: Sequence[Sequence[Any]], chosen: Mapping[int, Enclosure]) -> list[Enclosure]:
+    """The first output with the given switch positions."""
     seen = list[Enclosure]()
 
     def keep(node: Node, value: Enclosure) -> Enclosure:
-        way = chosen.get(len(seen))
-        if way is not None:
-            value = seen[node.a] - seen[node.b] * way if node.code in _RESTS else way
+        position = chosen.get(len(seen))
+        if position is not None:
+            value = seen[node.a] - seen[node.b] * position if node.code in _REMAINDERS else position
         seen.append(value)
         return value
 

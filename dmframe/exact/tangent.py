@@ -1,11 +1,12 @@
-r"""Directional derivatives of a program's outputs, in the ring in which the program was evaluated.
+r"""Directional derivatives of a program's outputs, in the ring in which the program is evaluated.
 
 With :math:`v_k` the value of instruction k and :math:`t_k` its derivative along a direction of the inputs,
 
 .. math:: t_k = \frac{\partial v_k}{\partial v_a} t_a + \frac{\partial v_k}{\partial v_b} t_b.
 
-The ring gives the values of functions in partial derivatives, such as cos in that of sin, so that they agree with the
-same functions elsewhere in the program. Derivatives of what jumps are zero; a jump has to be excluded beforehand.
+The ring evaluates functions in partial derivatives, such as cos in that of sin, so that their values agree with those
+of the same functions in the program. Discontinuous operations have a zero derivative; jumps must be excluded
+beforehand.
 """
 
 from __future__ import annotations
@@ -31,19 +32,19 @@ def _root(ring: Any, square: Any) -> Any:
 
 
 def _larger(name: str) -> Callable[[Any, Any, Any, Any], tuple[Any, Any]]:
-    """Of fmin or fmax: at a tie each argument has half of the slope."""
+    """Partial derivatives of fmin or fmax; for equal arguments each is one half."""
 
     def partials(ring: Any, v: Any, a: Any, b: Any) -> tuple[Any, Any]:
         below, above = ring.call("le", a, b), ring.call("le", b, a)
-        share = ring.inverse(below + above)
-        return (below * share, above * share) if name == "fmin" else (above * share, below * share)
+        weight = ring.inverse(below + above)
+        return (below * weight, above * weight) if name == "fmin" else (above * weight, below * weight)
 
     return partials
 
 
 _TWO_BY_ROOT_PI: Final = literal(1.1283791670955126)
 _HALF_ROOT_PI: Final = literal(0.8862269254527579)
-"""These constants as doubles, which is how CasADi writes them."""
+"""Double-precision constants, as CasADi writes them."""
 
 _FUNCTIONS: Final[Mapping[str, Callable[[Any, Any, Any, Any], tuple[Any, Any]]]] = {
     "div": lambda ring, v, a, b: (ring.inverse(b), -v * ring.inverse(b)),
@@ -82,7 +83,7 @@ _FUNCTIONS: Final[Mapping[str, Callable[[Any, Any, Any, Any], tuple[Any, Any]]]]
 _FLAT: Final = frozenset(
     name for name in BY_NAME if name in ("sign", "floor", "ceil", "lt", "le", "eq", "ne", "not", "and", "or")
 )
-"""Operations that are constant wherever they have a derivative."""
+"""Operations that are constant wherever they are differentiable."""
 
 _PARTIALS: Final = {BY_NAME[name].code: partials for name, partials in _FUNCTIONS.items()}
 _FLAT_CODES: Final = frozenset(BY_NAME[name].code for name in _FLAT)
@@ -91,16 +92,16 @@ _IF: Final = BY_NAME["if_else_zero"].code
 
 
 def between(tape: Tape, moving: Collection[int], outputs: Collection[int]) -> tuple[int, ...]:
-    """Places of the instructions that these outputs need and that these inputs change, in order."""
+    """Positions of the instructions that depend on these inputs and on which these outputs depend, in order."""
     nodes, inputs, moved = tape.nodes, frozenset(moving), set[int]()
     for place, (code, a, b, _, _) in enumerate(nodes):
         if a in inputs if code == INPUT else code in OPERATIONS and (a in moved or b in moved):
             moved.add(place)
-    wanted = {place for j in outputs for place in tape.program.sources[j]} & moved
+    required = {place for j in outputs for place in tape.program.sources[j]} & moved
     for place in range(len(nodes) - 1, -1, -1):
-        if place in wanted and nodes[place].code != INPUT:
-            wanted.update(moved.intersection(nodes[place].operands))
-    return tuple(sorted(wanted))
+        if place in required and nodes[place].code != INPUT:
+            required.update(moved.intersection(nodes[place].operands))
+    return tuple(sorted(required))
 
 
 @final
@@ -117,7 +118,7 @@ class Tangents:
     Raises
     ------
     ValueFault
-        An output depends on a moving input through an operation that has no derivative here.
+        An output depends on a moving input through an operation without a derivative rule.
     """
 
     def __init__(self, tape: Tape, outputs: Collection[int], moving: Collection[int]) -> None:
@@ -130,9 +131,9 @@ class Tangents:
                 raise ValueFault(f"exact test of {tape.name}: expected operations with a derivative, found {name}")
 
     def along(self, ring: Ring, values: Sequence[Any], direction: Mapping[int, Sequence[Any]]) -> list[list[Any]]:
-        """The derivatives of the outputs, dense and column-major, 0 where nothing moves them.
+        """Derivatives of the outputs, dense and column-major; 0 without a dependence on the moving inputs.
 
-        `values` are those of all instructions; `direction` has the inputs that move, by position, dense.
+        `values` are those of all instructions; `direction` contains the moving inputs, by position, dense.
         """
         tape, reduced = self._tape, ring.reduced
         nodes, seeds = tape.nodes, {i: self._elements(i, given) for i, given in direction.items()}
@@ -145,29 +146,29 @@ class Tangents:
                 continue
             if code in _FLAT_CODES:
                 continue
-            left: Any = tangent.get(a)
+            lower: Any = tangent.get(a)
             right: Any = tangent.get(b) if OPERATIONS[code].arity == 2 else None
-            if left is None and right is None:
+            if lower is None and right is None:
                 continue
             if code == _ADD:
-                tangent[place] = right if left is None else left if right is None else left + right
+                tangent[place] = right if lower is None else lower if right is None else lower + right
             elif code == _SUB:
-                tangent[place] = -right if left is None else left if right is None else left - right
+                tangent[place] = -right if lower is None else lower if right is None else lower - right
             elif code == _NEG:
-                tangent[place] = -left
+                tangent[place] = -lower
             elif code == _TWICE:
-                tangent[place] = 2 * left
+                tangent[place] = 2 * lower
             elif code == _SQ:
-                tangent[place] = reduced(2 * values[a] * left)
+                tangent[place] = reduced(2 * values[a] * lower)
             elif code == _MUL:
-                first = 0 if left is None else left * values[b]
+                first = 0 if lower is None else lower * values[b]
                 tangent[place] = reduced(first if right is None else first + values[a] * right)
             elif code == _IF:
                 if right is not None:
                     tangent[place] = ring.call("if_else_zero", values[a], right)
             else:
                 over_a, over_b = self._partials(ring, place, values)
-                first = 0 if left is None else over_a * left
+                first = 0 if lower is None else over_a * lower
                 tangent[place] = reduced(first if right is None else first + over_b * right)
         return [self._dense(j, tangent) for j in self._outputs]
 
@@ -178,13 +179,13 @@ class Tangents:
         return _PARTIALS[code](ring, values[place], values[a], values[b])
 
     def _of_power(self, ring: Any, base: Any, exponent: Fraction) -> Any:
-        """The slope of a power with a constant exponent, whose own power is written as CasADi writes it."""
-        left, factor = exponent - 1, ring.number(exponent)
-        if left.denominator == 1:
-            return factor * ring.power(base, left.numerator)
-        if left == Fraction(1, 2):
+        """Derivative of a power with a constant exponent; its lower power is written as CasADi writes it."""
+        lower, factor = exponent - 1, ring.number(exponent)
+        if lower.denominator == 1:
+            return factor * ring.power(base, lower.numerator)
+        if lower == Fraction(1, 2):
             return factor * ring.call("sqrt", base)
-        return factor * ring.call("constpow", base, ring.number(left))
+        return factor * ring.call("constpow", base, ring.number(lower))
 
     def _elements(self, position: int, given: Sequence[Any]) -> list[Any]:
         return [given[place] for place in self._tape.program.inputs[position].places]

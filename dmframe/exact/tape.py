@@ -22,16 +22,16 @@ _KNOWN: Final = frozenset((INPUT, CONST, *OPERATIONS))
 _OPAQUE: Final = (
     frozenset(OPERATIONS) - POWERS - {_ADD, _SUB, _MUL, _DIV, _NEG, _SQ, _TWICE, _INV, _SIN, _COS, _SIGN, _FABS}
 )
-"""Functions that the field does not have."""
+"""Functions that a field does not have."""
 _LARGEST_POWER: Final = 2**16
 
 
 @final
 class Tape:
-    """The program of an SX function, and in `numbers` the rational ones that its floats were written as.
+    """The program of an SX function; `numbers` contains the rational numbers that its floats were written as.
 
-    Its operations in the field are written out in one loop, which takes most of the time of a proof: no table of rules.
-    Raises `ValueFault` for an operation of something else than scalars, and for a number that is not finite.
+    The field operations are written in one loop instead of a table of rules, since they take most of the time
+    of a proof. Raises `ValueFault` for an operation on non-scalars and for a number that is not finite.
     """
 
     def __init__(self, program: Program) -> None:
@@ -53,7 +53,7 @@ class Tape:
 
     @classmethod
     def from_function(cls, f: ca.Function) -> Tape:
-        """Read `f`; raises `ValueFault` for a function that is not plain SX too."""
+        """Read `f`; also raises `ValueFault` for a function that is not an SX function."""
         if not f.is_a("SXFunction"):
             raise ValueFault(f"exact test of {f.name()}: expected an SX function, found {f.class_name()}; expand() it")
         if f.has_free():
@@ -68,16 +68,16 @@ class Tape:
 
     @property
     def nodes(self) -> Sequence[Node]:
-        """What is computed, for another evaluation than in a field."""
+        """Instructions, for evaluations other than in a field."""
         return self.program.nodes
 
     def exponent(self, k: int) -> int | None:
-        """The exponent of a whole power, which is a product; None for every other operation."""
+        """The exponent of an integer power, which is a product; None for every other operation."""
         code, _, b, _, _ = self.nodes[k]
         return self._whole.get(b) if code in POWERS else None
 
     def _whole_exponents(self) -> Iterator[tuple[int, int]]:
-        """(place, number) of exponents that are whole, and not too large."""
+        """(position, number) of exponents that are integers of moderate size."""
         for place in {node.b for node in self.nodes if node.code in POWERS}:
             if self.nodes[place].code == _CONST:
                 number = self.numbers[self.nodes[place].constant]
@@ -85,13 +85,13 @@ class Tape:
                     yield place, number.numerator
 
     def values(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[int]:
-        """The residues of all instructions, as `evaluate` takes its arguments."""
+        """Residues of all instructions; arguments as in `evaluate`."""
         return [value % trial.prime for value in self._run(inputs, trial)]
 
     def evaluate(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[list[int]]:
-        """The outputs' residues at the inputs' residues, both dense and column-major.
+        """Residues of the outputs at the residues of the inputs, both dense and column-major.
 
-        Raises `ZeroDivision` where a denominator vanishes, and `ValueFault` for inputs of another size.
+        Raises `ZeroDivision` if a denominator vanishes, and `ValueFault` for inputs of another size.
         """
         found = [len(values) for values in inputs]
         expected = [size for _, size in self.inputs]
@@ -100,7 +100,7 @@ class Tape:
         return self.outputs_of(self._run(inputs, trial), trial)
 
     def outputs_of(self, values: Sequence[int], trial: Trial) -> list[list[int]]:
-        """The outputs' residues of the numbers of all instructions."""
+        """Residues of the outputs from the values of all instructions."""
         return [[value % trial.prime for value in matrix] for matrix in self.program.dense(values, 0)]
 
     def _run(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[int]:
@@ -111,11 +111,11 @@ class Tape:
     def compute(
         self, places: Iterable[tuple[int, Node]], values: list[int], inputs: Sequence[Sequence[int]], trial: Trial
     ) -> None:
-        """Enter the numbers of some instructions, each with its place and in order; they are not reduced.
+        """Enter the values of some instructions, with their positions and in order; they are not reduced.
 
-        Raises `ZeroDivision` where a denominator vanishes.
+        Raises `ZeroDivision` if a denominator vanishes.
         """
-        # Sums stay unreduced until a product reduces them: that halves the time of a trial.
+        # Sums are reduced only in products, which halves the time of a trial.
         p = trial.prime
         given, numbers = self.program.elements(inputs), self.numbers
         for k, (code, a, b, constant, _) in places:

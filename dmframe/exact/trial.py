@@ -10,31 +10,32 @@ from typing import Final
 CIRCLE: Final = "cos, sin"
 SIGN: Final = "sign"
 SIGN_LIMIT: Final = 5
-"""Different signs whose values are all tried; one trial then takes at most 3**5 evaluations."""
+"""Number of different signs for which all values are tried; one trial then takes at most 3**5 evaluations."""
 
 
 class ZeroDivision(ArithmeticError):
-    """A denominator vanished at this point: draw another one."""
+    """A denominator vanishes at this point: draw another one."""
 
 
 class Trial:
-    """A prime, a source of randomness, and the values already chosen for functions that the field does not have.
+    """A prime, a source of random numbers, and the values already chosen for functions that a field does not have.
 
-    Equal arguments get equal values for as long as the trial lives, also between the evaluations of two tapes.
+    Equal arguments have equal values during the whole trial, also in the evaluations of two tapes.
 
     - sin and cos of one argument are one random point of the unit circle, ((1-t^2)/(1+t^2), 2t/(1+t^2)); cos is
       even and sin is odd.
     - sign is odd and takes the values +1, -1 and 0. A random choice would miss (sign x + 1)(sign y + 1) three times in
       four, so `next_signs` walks through all choices; beyond `SIGN_LIMIT` signs it is a free value.
-    - fabs(x) is x sign(x). It does not jump: what holds on both sides of x = 0 with absolute values alone holds there
-      too, so that a sign is 0 only where the operation is sign itself. There |x| may be read as 0 or as x, both being
-      true on x = 0; an identity needs to hold in one of these readings (`zero_is_its_own_size`).
-    - Any other function is a free random value: also fmin, fmax, comparisons, if_else, floor. That is sound, on the
-      sets where they switch too: an identity that holds for free values holds for those that the function takes. It is
-      not complete: tanh(x) + tanh(-x) = 0 and fmin(x, y) + fmax(x, y) = x + y are not seen. Of if_else_zero and
-      "not" it is known what they are where the condition is 0 or 1, or the value 0.
+    - fabs(x) is x sign(x). It is continuous: an identity on both sides of x = 0 with absolute values alone is valid at
+      x = 0 too, so that a sign is 0 only if the operation is sign itself. Then |x| can be evaluated as 0 or as x, both
+      true at x = 0; an identity must be valid in one of these evaluations (`fabs_is_argument_at_zero`).
+    - Any other function is a free random value, including fmin, fmax, comparisons, if_else and floor. This is sound,
+    also
+      at switching points: an identity that is valid for free values is valid for the function's values. It is not
+      complete: tanh(x) + tanh(-x) = 0 and fmin(x, y) + fmax(x, y) = x + y are not detected. if_else_zero and "not" have
+      their values if the condition is 0 or 1, or if the value is 0.
 
-    The rules say nothing of derivatives: that of a jump is not there at all, and has to be kept out beforehand.
+    These rules do not apply to derivatives: jumps, which have none, must be excluded beforehand.
     """
 
     def __init__(self, prime: int, rng: random.Random, functions: Mapping[str, Sequence[int]] | None = None) -> None:
@@ -46,8 +47,8 @@ class Trial:
         self._script: list[int] = []
         self._places: dict[int, int] = {}
         self._jumping: set[int] = set()
-        self.zero_is_its_own_size = False
-        self._inverses: dict[int, int] = {1: 1}  # the same denominators come back, fault after fault
+        self.fabs_is_argument_at_zero = False
+        self._inverses: dict[int, int] = {1: 1}  # the same denominators recur in each fault
         for name, values in (functions or {}).items():
             kind, _, argument = name.partition(" of ")
             if kind == CIRCLE:
@@ -59,7 +60,7 @@ class Trial:
 
     @property
     def functions(self) -> dict[str, tuple[int, ...]]:
-        """The values chosen so far, by function and argument: with them another trial evaluates alike.
+        """Values chosen so far, by function and argument; another trial with these values evaluates identically.
 
         ``{"cos, sin of 12": (3, 4), "tanh of 5": (6,), "sign of 7": (-1,)}``
         """
@@ -69,11 +70,11 @@ class Trial:
         return chosen | named
 
     def random(self) -> int:
-        """A residue, each equally likely."""
+        """A uniformly random residue."""
         return self.rng.randrange(self.prime)
 
     def residue(self, value: Fraction | float | int) -> int:
-        """The exact rational value as a residue; raises `ZeroDivision` where the prime divides its denominator."""
+        """The exact rational value as a residue; raises `ZeroDivision` if the prime divides its denominator."""
         if isinstance(value, int):
             return value % self.prime
         numerator, denominator = value.as_integer_ratio()
@@ -82,11 +83,11 @@ class Trial:
     number = residue
 
     def reduced(self, value: int) -> int:
-        """The residue of a number that sums have left unreduced."""
+        """The residue of an unreduced sum."""
         return value % self.prime
 
     def power(self, value: int, exponent: int) -> int:
-        """A whole power; raises `ZeroDivision`."""
+        """An integer power; raises `ZeroDivision`."""
         return pow(value if exponent >= 0 else self.inverse(value), abs(exponent), self.prime)
 
     def call(self, name: str, *arguments: int) -> int:
@@ -110,7 +111,7 @@ class Trial:
 
     def inverse_matrix(self, rows: Sequence[Sequence[int]]) -> list[list[int]]:
         """The inverse of a square matrix of numbers that need not be reduced; raises `ZeroDivision`."""
-        from flint import fmpz_mod_ctx, fmpz_mod_mat  # a run that proves nothing does not load it
+        from flint import fmpz_mod_ctx, fmpz_mod_mat  # not loaded by a run without a proof
 
         try:
             inverse = fmpz_mod_mat(rows, fmpz_mod_ctx(self.prime)).inv()
@@ -132,21 +133,21 @@ class Trial:
         return cosine, sine if key == angle else -sine % self.prime
 
     def sign(self, value: int) -> int:
-        """+1, -1 or 0 (0 at 0) of a reduced residue, as the script of `next_signs` says."""
+        """+1, -1 or 0 (0 at 0) for a reduced residue, according to the present choice of `next_signs`."""
         return self.signed(value, jumps=True)
 
     def size(self, value: int) -> int:
         """The absolute value of a reduced residue: the residue times its sign."""
         sign = self.signed(value, jumps=False)
-        return value if sign == 0 and self.zero_is_its_own_size else value * sign % self.prime
+        return value if sign == 0 and self.fabs_is_argument_at_zero else value * sign % self.prime
 
     @property
     def on_a_jump(self) -> bool:
-        """True while the script has some sign at 0."""
+        """True if the present choice sets some sign to 0."""
         return 0 in self._script
 
     def signed(self, value: int, *, jumps: bool) -> int:
-        """The sign of a reduced residue; for absolute values alone, which do not jump, never 0 elsewhere than at 0."""
+        """The sign of a reduced residue; for absolute values alone, which are continuous, it is 0 only at 0."""
         if value == 0:
             return 0
         key = min(value, self.prime - value)
@@ -163,7 +164,7 @@ class Trial:
         return self._signs[key] if key == value else -self._signs[key]
 
     def next_signs(self) -> bool:
-        """Forget the signs and take the next choice of them; False when all choices that were met have been tried."""
+        """Clear the signs and take their next combination; False when all combinations have been tried."""
         self._signs.clear()
         self._places.clear()
         while self._script:
@@ -177,7 +178,7 @@ class Trial:
         return False
 
     def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
-        """The free value of a function at reduced arguments; a condition that is 0 or 1 decides what it can."""
+        """The free value of a function at reduced arguments; a condition that is 0 or 1 determines what it can."""
         key = (name, arguments)
         value = self._values.get(key)
         if value is not None:

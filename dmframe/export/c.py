@@ -6,15 +6,12 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, Final
 
 import casadi as ca
 
 from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import helpers
-from dmframe.common.errors import OutputError
-from dmframe.common.files import encoded, expanded
 from dmframe.common.slices import slices
 from dmframe.common.units import plain
 from dmframe.common.version import version
@@ -24,7 +21,6 @@ from dmframe.diagram.parts import split
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, samples_as_c, samples_of, sizes_as_c
 from dmframe.results.folder import provenance
-from dmframe.results.place import Place, built, locked
 
 
 def header(program: Program) -> str:
@@ -232,52 +228,16 @@ def own_file(name: str) -> str:
     return files("dmframe.export").joinpath(name).read_text(encoding="utf-8")
 
 
-def export_c(graph: BaseGraph, folder: str | Path) -> list[Path]:
-    """Write a graph's controller as C99 into a new folder, with an example and a test; returns the files.
+def c_files(graph: BaseGraph) -> dict[str, str]:
+    """A graph's controller as C99, with an example and a test: files by name.
 
     ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` compares the compiled code with the first samples of a
     simulation, each from equal states, bit by bit if the compiler keeps the order of operations; ``example.c`` shows
     the loop, ``CMakeLists.txt`` builds all.
 
-    Raises
-    ------
-    EngineError
-        The graph has no sampled controller that can be separated from the plant.
-    OutputError
-        The folder exists already, or cannot be written.
+    Raises `EngineError` for a graph without a sampled controller that can be separated from the plant.
     """
-    place = new_folder(folder)
-    program = program_of(graph)
-    return write_all(place, files_of(graph, program))
-
-
-def new_folder(folder: str | Path) -> Path:
-    """A path that does not exist. Raises `OutputError`."""
-    place = expanded(folder)
-    if place.exists():
-        raise OutputError(f"{place}: exists already; choose a new folder")
-    return place
-
-
-def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files by their paths below a folder, all or none, with the folder locked. Raises `OutputError`.
-
-    A new folder has its name only when all files are on the disk.
-    """
-    files = [place / name for name in contents]
-    with locked(place) as (folder, _, made):
-        if there := [file for file in files if file.exists()]:  # another export was first
-            raise OutputError(f"{there[0]}: exists already; choose a new folder")
-        target = Place(place, folder, folder in made)
-        try:
-            with built(target, seal=False) as building:
-                for name, content in contents.items():
-                    file = building / name
-                    file.parent.mkdir(parents=True, exist_ok=True)
-                    file.write_bytes(content if isinstance(content, bytes) else encoded(content))
-        finally:
-            target.release()
-    return files
+    return files_of(graph, program_of(graph))
 
 
 def files_of(graph: BaseGraph, program: Program) -> dict[str, str]:

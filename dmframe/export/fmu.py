@@ -20,14 +20,14 @@ import casadi as ca
 
 from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.codegen.source import helpers
-from dmframe.common.errors import EngineError, OutputError
-from dmframe.common.files import encoded, expanded
+from dmframe.common.errors import EngineError
+from dmframe.common.files import encoded
 from dmframe.common.slices import slices
 from dmframe.common.units import base_units
 from dmframe.common.version import version
 from dmframe.config import BaseGraph
 from dmframe.diagram.parts import split
-from dmframe.export.c import commented, functions_of, origin, own_file, spelled, write_all
+from dmframe.export.c import commented, functions_of, origin, own_file, spelled
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
 
@@ -69,29 +69,29 @@ class Unit:
                 yield kind, item
 
 
-def export_fmus(graph: BaseGraph, folder: str | Path, fmi: Version) -> list[Path]:
-    """Write the controller and the robot of a graph as two FMUs into a folder; returns them.
+def fmi2_files(graph: BaseGraph) -> dict[str, bytes]:
+    """The controller and the robot of a graph as two units of FMI 2.0."""
+    return _units_of(graph, 2)
+
+
+def fmi3_files(graph: BaseGraph) -> dict[str, bytes]:
+    """The controller and the robot of a graph as two units of FMI 3.0."""
+    return _units_of(graph, 3)
+
+
+def _units_of(graph: BaseGraph, fmi: Version) -> dict[str, bytes]:
+    """The controller and the robot of a graph as two FMUs, by file name.
 
     Their steps are one sampling period. Coupled with the controller first, and with its commands passed to the robot
     before the robot's step, they reproduce the simulation. They contain the sources and, if a compiler is available, a
     library for this machine.
 
-    Raises
-    ------
-    EngineError
-        The graph has no sampled controller, or its robot cannot be separated from it.
-    OutputError
-        A file cannot be written, or exists already.
+    Raises `EngineError` for a graph without a sampled controller, or whose robot cannot be separated from it.
     """
-    place = expanded(folder)
     program, robot = program_of(graph), robot_of(graph)
     units = [_of_controller(program), _of_robot(robot, program.model)]
-    files = [place / f"{unit.name}.fmu" for unit in units]
-    for file in files:
-        if file.exists():
-            raise OutputError(f"{file}: exists already; choose a new folder")
     made = origin(graph, program.model)
-    return write_all(place, {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units})
+    return {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units}
 
 
 def _of_controller(program: Program) -> Unit:

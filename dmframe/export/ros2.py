@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from io import StringIO
-from pathlib import Path
 from typing import Final, NamedTuple, final
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape, unescape
@@ -22,11 +21,9 @@ from dmframe.export.c import (
     commented,
     files_of,
     filled,
-    new_folder,
     origin,
     own_file,
     unit_of,
-    write_all,
 )
 from dmframe.export.program import Member, Program, program_of
 from dmframe.runtime.signals import measured_as, velocity_command
@@ -34,8 +31,8 @@ from dmframe.runtime.signals import measured_as, velocity_command
 _WHOLE: Final = 1e-6
 
 
-def export_ros2(graph: BaseGraph, folder: str | Path) -> list[Path]:
-    """Write a graph's controller as a ROS 2 package into a new folder; returns the files.
+def ros2_files(graph: BaseGraph) -> dict[str, str]:
+    """A graph's controller as a ROS 2 package: files by their paths.
 
     It is a chainable controller of ros2_control around the exported C: an update of the manager is one sample. Its
     reference is its pace, from 0 to 1, and its commands are joint velocities.
@@ -44,10 +41,9 @@ def export_ros2(graph: BaseGraph, folder: str | Path) -> list[Path]:
     ------
     DmframeError
         The graph has no sampled controller that can be separated from the plant, its commands, measurements or clock
-        are not supported by a controller manager, or the folder exists already or cannot be written.
+        are not supported by a controller manager.
     """
     diagram = graph.diagram
-    place = new_folder(folder)
     fields, command = measured_as(diagram), velocity_command(diagram)
     program = program_of(graph)
     rate = _rate(program)
@@ -78,7 +74,7 @@ def export_ros2(graph: BaseGraph, folder: str | Path) -> list[Path]:
         "DM_TITLE": escape(commented(program.title or program.name)),
     }
     c = files_of(graph, program)
-    wanted = {
+    return {
         "package.xml": _read_as_xml(graph.name, "package.xml", words),
         "CMakeLists.txt": _called("CMakeLists.txt", words),
         "controller.xml": _read_as_xml(graph.name, "controller.xml", words),
@@ -94,7 +90,6 @@ def export_ros2(graph: BaseGraph, folder: str | Path) -> list[Path]:
         "README.md": _readme(program, package, rate, rows),
         **origin(graph, program.model),
     }
-    return write_all(place, wanted)
 
 
 def package_of(name: str) -> str:

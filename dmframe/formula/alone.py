@@ -57,7 +57,7 @@ def _read(block: type[AbstractBlock], options: tuple[tuple[str, Any], ...]) -> R
         if faults:
             return None
         model = model_block(type_name(block), made, arrays, sizes, functions.of if functions else None)
-    except (DmframeError, KeyError):  # it requires a graph: a file, a path through points, another option
+    except (DmframeError, KeyError):  # the block requires a graph: a file, a path through points, another option
         return None
     shapes = {port.name: sizes.matrix(port.shape) for port in made.truth}
     read = ReadBlock(model, functions, truths=shapes, made=frozenset(shapes))
@@ -88,8 +88,8 @@ def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
         yield read, False
 
 
-def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
-    """The law with default options or, if the block cannot be created with them, with the first option that helps."""
+def simplest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
+    """The law with default options or, if the block cannot be created with these, with the first sufficient option."""
     base = base_of(block)
     law = law_of_type(block, **base[1]) if base is not None else None
     return (base[0], law) if base is not None and law is not None else None
@@ -97,7 +97,7 @@ def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
 
 def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ...]]]:
     """Each option of a block, such as ``leak``, with the lines of the law that it replaces or adds."""
-    found = plainest(block)
+    found = simplest(block)
     if found is None:
         return
     before = {item.whole.text for item in found[1].lines}
@@ -120,7 +120,7 @@ def base_of(block: type[AbstractBlock]) -> tuple[str, dict[str, Any]] | None:
 
 
 def switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each option at a value other than its default, with a second option if it requires one, or without the base."""
+    """Each option at a value other than its default, with a second option if required, or without the base."""
     found = base_of(block)
     if found is None:
         return
@@ -129,10 +129,10 @@ def switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]
     for name, values in [*_switches(block), *((name, {name: value}) for name, value in free.items())]:
         if values.items() <= base.items():
             continue
-        ways = [(name, {**base, **values})]
-        ways += [(f"{name}, without {label}", values)] * bool(base)
-        ways += [(f"{name} with {other}", {**base, **values, other: second}) for other, second in free.items()]
-        yield from [way for way in ways if read_type(block, **way[1]) is not None][:1]
+        choices = [(name, {**base, **values})]
+        choices += [(f"{name}, without {label}", values)] * bool(base)
+        choices += [(f"{name} with {other}", {**base, **values, other: second}) for other, second in free.items()]
+        yield from [way for way in choices if read_type(block, **way[1]) is not None][:1]
 
 
 def _switches(block: type[AbstractBlock]) -> list[tuple[str, dict[str, Any]]]:
@@ -169,7 +169,7 @@ def in_yaml(value: Any) -> str:
 
 
 def _choices(kind: Any, default: Any) -> Iterator[Any]:
-    """Other values of an option: of a switch, of some words, of a list of them."""
+    """Other values of an option: of a flag, of a choice of words, of a list of these."""
     if kind is bool:
         yield not default
     elif get_origin(kind) is Literal:
@@ -202,7 +202,7 @@ def _sizes(block: AbstractBlock, chain: SerialChain | None) -> Sizes:
     sizes = Sizes()
     bound = {**_SIZES, **block.sizes(chain)}
     if chain is None and any("r" in port.shape.split() for port in block.inputs):
-        bound["n"] = 6  # with fewer joints no Jacobian of a pose has full row rank
+        bound["n"] = 6  # the Jacobian of a pose has full row rank only with 6 joints or more
     for letter, size in bound.items():
         sizes.bind(letter, size, "this page")
     return sizes

@@ -62,20 +62,20 @@ def _faults(blocks: Mapping[str, ReadBlock]) -> list[DmframeError]:
     here = list[DmframeError]()
     for read in blocks.values():
         equations = stated[type(read.model.block)]
-        if equations and (seen := _seen(read)) not in _FINE:
+        if equations and (seen := _identity(read)) not in _CONFIRMED:
             faults = list(_with_these_values(read, equations))
             here += faults
             if not faults:
-                _FINE.add(seen)
+                _CONFIRMED.add(seen)
     known = {fault.text for fault in found}
     return found + [fault for fault in here if fault.text not in known]
 
 
-_FINE: Final = set[tuple[Any, ...]]()
+_CONFIRMED: Final = set[tuple[Any, ...]]()
 """Blocks whose docstrings are correct, so that a sweep or another check of a graph does not read them again."""
 
 
-def _seen(read: ReadBlock) -> tuple[Any, ...]:
+def _identity(read: ReadBlock) -> tuple[Any, ...]:
     """A block with its values, and its sizes and true values in a diagram."""
     model = read.model
     symbols = (*model.inputs.items(), *model.states.items(), *model.parameters.items())
@@ -92,7 +92,7 @@ def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator
     """
     block = read.model.block
     checker = _Checker(equations)
-    checker.hold(read, plain=True)
+    checker.compare(read, plain=True)
     file, _ = source_of(type(block))
     if next(variants(type(block)), None) is None:
         yield from (kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
@@ -122,7 +122,7 @@ def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
         return ()
     checker = _Checker(equations)
     for read, plain in variants(block):
-        if checker.hold(read, plain=plain):
+        if checker.compare(read, plain=plain):
             break
     if not checker.tried:
         return ()
@@ -130,7 +130,7 @@ def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
     return tuple(kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
 
 
-_TURNS: Final = re.compile(r"max|min|sgn|clip|[<>]")
+_SWITCHES: Final = re.compile(r"max|min|sgn|clip|[<>]")
 """Switching functions in readable LaTeX."""
 
 
@@ -283,11 +283,11 @@ class _Checker:
         self.late = list[Stated]()
         self._meant = set[str]()
         self.tried = 0
-        self._turns = any(_TURNS.search("".join(item.right)) for item in equations)
+        self._switches = any(_SWITCHES.search("".join(item.right)) for item in equations)
 
-    def hold(self, read: ReadBlock, *, plain: bool) -> bool:
+    def compare(self, read: ReadBlock, *, plain: bool) -> bool:
         """Compare all equations with a block; returns true if every equation has been confirmed."""
-        seeds = range(ALL_SIZES) if self._turns or read.turns else FEW
+        seeds = range(ALL_SIZES) if self._switches or read.has_switch else FEW
         points = [values_at(read, seed, self._equations) for seed in seeds]
         trials = [
             _Trial(read, item, self._equations, is_near=seed < NEAR) for seed, item in zip(seeds, points, strict=True)
@@ -316,7 +316,7 @@ class _Checker:
         )
 
     def _not_yet(self, fine: set[Stated], trial: _Trial) -> dict[str, Stated]:
-        """Left sides without an equation that holds for the default options, each with its first equation."""
+        """Left sides without an equation that holds with the default options, each with its first equation."""
         sides = dict[str, list[Stated]]()
         for item in self._equations:
             if trial.is_computed(item):
@@ -326,7 +326,7 @@ class _Checker:
         return {shown(items[0].left): items[0] for items in bad if any(item.displayed for item in items)}
 
     def faults(self) -> Iterator[tuple[int, str, type[DmframeError]]]:
-        """Lines with their faults."""
+        """Faults, each with its line."""
         held = {shown(item.left) for item in self._fine}
         for item in self._equations:
             verdict, text = self._verdicts[item]
@@ -334,7 +334,7 @@ class _Checker:
                 if item.displayed or verdict is _Verdict.DIFFERS or shown(item.left) in self._meant - held:
                     yield item.line, text, UnreadError if verdict is _Verdict.UNREADABLE else BlockError
             elif verdict is _Verdict.DEFINES and text not in self._used:
-                text = f"{text}: the block has nothing of this name, and no other equation uses it"
+                text = f"{text}: the block has no signal or parameter of this name, and no other equation uses it"
                 yield item.line, text, UnreadError
             elif self._late.get(shown(item.left)) is item:
                 text = f"{' '.join(item.left)}: no equation for it holds with the options at their defaults"

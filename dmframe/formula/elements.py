@@ -69,16 +69,16 @@ class Elements:
     def _scalar(self, x: SX) -> Node:
         self._count += 1
         if self._count > MOST:
-            raise UnreadableError("longer than a reader can take in")
+            raise UnreadableError("too long to be printed")
         if x.is_constant():
             return constant(ca.DM(x))
         if x.is_symbolic():
             if x.element_hash() not in self._known:  # a number of the robot
-                raise UnreadableError("it holds a symbol that has no name")
+                raise UnreadableError("it contains a symbol without a name")
             return self._known[x.element_hash()]
         parts = [self._scalar(x.dep(k)) for k in range(x.n_dep())]
         if x.op() not in RULES:
-            raise UnreadableError("it holds an operation that has no sign here")
+            raise UnreadableError("it contains an operation without a printed symbol")
         return RULES[x.op()](*parts)
 
 

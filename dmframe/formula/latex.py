@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from keyword import iskeyword
 from typing import Any, Final, final
 
 import numpy as np
@@ -296,7 +297,9 @@ class LatexReader:
             return value
         if symbol == Symbol("I"):
             return Eye(1.0)
-        raise UnreadableLatexError(f"the name {spelled(symbol)} is unknown")
+        name = spelled(symbol)
+        hint = f"; in code it is {name}_, since {name} is a word of Python" if iskeyword(name) else ""
+        raise UnreadableLatexError(f"the name {name} is unknown{hint}")
 
     def symbol(self) -> Symbol | None:
         """A name with its accents, index and start."""

@@ -320,8 +320,8 @@ def _potential(term: Any, nodes: Sequence[Node]) -> Description:
 
 def _log_det(term: Any, nodes: Sequence[Node]) -> Description:
     matrix, true, weight = nodes
-    apart = Applied("divergence", (matrix, true), SCALAR, description=description_of(divergence))
-    return "log det", matrix, weight, true, tree.multiply(weight, apart, SCALAR)
+    distance = Applied("divergence", (matrix, true), SCALAR, description=description_of(divergence))
+    return "log det", matrix, weight, true, tree.multiply(weight, distance, SCALAR)
 
 
 _TERMS: Mapping[type, Callable[[Any, Sequence[Node]], Description]] = {
@@ -344,9 +344,9 @@ def pieces_of(certificate: Certificate) -> list[tuple[str, Any]]:
             found += [(f"{kind} {place} of its {role}", piece) for piece in term.pieces]
     found.append(("its supply", certificate.supply))
     if certificate.consumes is not None:
-        found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
+        found += [("its cross term", certificate.consumes.vector), ("its cross term", certificate.consumes.c)]
     found += [("its dominates", item) for item in certificate.dominates]
-    found += [("what is driven", piece) for item in certificate.linear for piece in item.pieces]
-    found += [("what a barrier is made of", piece) for item in certificate.barriers for piece in item.pieces]
-    found += [(f"what {name} estimates", true.value) for name, true in certificate.estimates.items()]
-    return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]
+    found += [("its stable linear subsystem", piece) for item in certificate.linear for piece in item.pieces]
+    found += [("its reference limits", piece) for item in certificate.barriers for piece in item.pieces]
+    found += [(f"the true value of {name}", true.value) for name, true in certificate.estimates.items()]
+    return found + [(f"the true value {name}", value) for name, value in certificate.truth.items()]

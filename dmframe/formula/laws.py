@@ -150,7 +150,7 @@ class ReadBlock:
         return self.certificate
 
     def lacked(self, stated: Mapping[str, Any]) -> bool:
-        """True if a true value that the certificate may read has become available since it was read."""
+        """True if a true value that the certificate reads has become available since the certificate was read."""
         return list(self._known(stated)) != self.claimed
 
     def _known(self, stated: Mapping[str, Any]) -> Iterator[str]:
@@ -174,7 +174,7 @@ class ReadBlock:
         return stated if stated is not None else Certificate()
 
     @cached_property
-    def turns(self) -> bool:
+    def has_switch(self) -> bool:
         """True if the code that runs contains a switch."""
         return self.reading.of_running().turns() is not None
 
@@ -231,18 +231,18 @@ class ReadBlock:
 
     def _same(self, method: str, labels: Sequence[str], pair: Pair, *, near: bool) -> None:
         """Compare at points. Raises `BlockError`."""
-        unlike, seen = pair.compared(near=near)
-        if unlike is not None:
-            raise self._fault(method, labels[unlike])
-        if not seen:
-            raise self._unseen(method, labels)
+        place, covered = pair.compared(near=near)
+        if place is not None:
+            raise self._fault(method, labels[place])
+        if not covered:
+            raise self._one_sided(method, labels)
 
     def _values(self, seed: int) -> dict[str, Any]:
         if seed not in self._points:
             self._points[seed] = self.reading.values(self.signs, seed)
         return self._points[seed]
 
-    def hold(self, proved: Certificate, seen: View, loop: ClosedLoop, *, near: bool = False) -> None:
+    def compare_certificate(self, proved: Certificate, seen: View, loop: ClosedLoop, *, near: bool = False) -> None:
         """Compare the printed certificate with the one that is proved for the whole closed loop.
 
         If `near`, at the first points only. Raises `BlockError`: a method that returns different results to its callers
@@ -305,7 +305,7 @@ class ReadBlock:
         text = f"{where}: {label} differs when {method}() is called again; the printed law would not be what runs"
         return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
 
-    def _unseen(self, method: str, labels: Sequence[str]) -> BlockError:
+    def _one_sided(self, method: str, labels: Sequence[str]) -> BlockError:
         where = place_of(self.type, method)
         text = (
             f"{where}: {', '.join(dict.fromkeys(labels))}: a switch, such as a min or a comparison, takes one side at "

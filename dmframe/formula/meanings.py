@@ -54,7 +54,7 @@ class Point:
         return self.moved(name)
 
     def moved(self, name: Symbol) -> Numbers | None:
-        """The value of a dotted name, or of one with a plus above; None for other names and for other than states."""
+        """Value of a dotted name, or of one with a superscript plus; None for names that are not those of states."""
         bare, before = undotted(name), _before(name)
         found = None if before is None else self.after.get(before)
         return self.rates.get(bare) if found is None and bare is not None else found
@@ -78,8 +78,8 @@ class Point:
 
 def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:
     """True if an equation contains ``name^{-1}``."""
-    wanted = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
-    return any(f" {wanted} " in f" {' '.join(_bare(item.right))} " for item in equations)
+    inverse = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
+    return any(f" {inverse} " in f" {' '.join(_bare(item.right))} " for item in equations)
 
 
 def _bare(words: Sequence[str]) -> list[str]:

@@ -16,11 +16,11 @@ from dmframe.exact import zero_test
 from dmframe.program import OPERATIONS, codes, read, run
 
 POINTS: Final = 6
-"""Number of points at which expressions are compared that are not shown to be equal exactly."""
+"""Number of points at which expressions are compared if they are not shown to be equal exactly."""
 FEW: Final = (0, 2, 3)
 """The points for a docstring without switches."""
 MOST: Final = 100
-"""Largest number of points drawn while a switch has been seen on one side only."""
+"""Largest number of points drawn while a switch has been covered on one side only."""
 ALL_SIZES: Final = 16
 """Number of points that cover every power of ten of `_POWERS` with both signs."""
 
@@ -29,7 +29,7 @@ NEAR: Final = 2
 _POWERS: Final = (2, -2, 3, 1, -1, -3, 0)
 
 _VANISHING: Final = (0.0, 0.0, 0.5, 1.0)
-"""Probabilities that a signal is zero at a point beyond `ALL_SIZES`."""
+"""Probabilities that a signal is zero at a point after the first `ALL_SIZES`."""
 _CLOSE: Final = 1e-7
 _ROUNDED: Final = 1e-11
 """Tolerance for rounding, relative to the largest element, or to 1 if all elements are smaller."""
@@ -40,11 +40,11 @@ _SPREADS: Final = 10
 """A difference of up to this many times the change by the perturbation is rounding."""
 _TINY: Final = 1e-300
 _OFF_ZERO: Final = 1e-9
-"""Distance of the points next to one where signals are zero."""
+"""Distance of the points next to a point with zero signals."""
 _CONTINUOUS: Final = 1e-6
 """Largest change of a continuous function over that distance, relative to its value, or to 1 if that is smaller."""
 _BITS: Final = (256, 1024, 4096)
-"""Precisions of a point at which floats differ, until all of its balls are narrow."""
+"""Precisions at a point where floats differ; the next one is used until all balls are narrow."""
 
 _EQUALITY: Final = frozenset((ca.OP_EQ, ca.OP_NE))
 
@@ -101,7 +101,7 @@ def differs(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
-    """True for numbers at one of the first points, where no terms are large, that differ by more than rounding."""
+    """True for numbers at one of the first points, where terms are moderate, that differ by more than rounding."""
     if first.shape != second.shape:
         return True
     largest = np.max(np.abs(first[np.isfinite(first)]), initial=0.0)
@@ -126,7 +126,7 @@ def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.
 
 
 def in_balls(function: Any, given: Sequence[Any], place: int) -> np.ndarray | None:
-    """One result of a function in ball arithmetic, with as many bits as it takes; None where `_BITS` are too few.
+    """One result of a function in ball arithmetic, with as many bits as required; None if `_BITS` are too few.
 
     If a matrix is singular up to rounding, or the argument of a sign is zero up to rounding, floating-point results
     have no correct digit.
@@ -138,7 +138,7 @@ def in_balls(function: Any, given: Sequence[Any], place: int) -> np.ndarray | No
     symbols = [ca.SX.sym(f"given{k}", function.size_in(k)) for k in range(function.n_in())]
     try:
         program = read(scalars := ca.Function("scalars", symbols, [function.call(symbols)[place]]))
-    except RuntimeError:  # it is not made of scalars
+    except RuntimeError:  # it has no scalar expressions
         return None
     numbers = program.elements([[*map(arb, ca.densify(ca.DM(value)).nonzeros())] for value in given])
     for bits in _BITS:
@@ -241,7 +241,7 @@ class Sides:
         self._plus: Any = None
         self._minus: Any = None
 
-    def see(self, turns: np.ndarray) -> None:
+    def add(self, turns: np.ndarray) -> None:
         """Add one point."""
         plus, minus = turns > 0, turns < 0
         self._plus = plus if self._plus is None else self._plus | plus
@@ -278,9 +278,9 @@ class Pair:
     in_balls: Callable[[Mapping[str, Any], int], Balls]
 
     def compared(self, *, near: bool) -> tuple[int | None, bool]:
-        """The first place that differs, if one does; and true if every switch was covered on both sides.
+        """Index of the first matrix that differs, or None; and true if every switch was covered on both sides.
 
-        If `near`, at the first points only.
+        If `near`, only the first points are used.
         """
         sides = list[Sides]()
         for seed in range(MOST):
@@ -294,13 +294,13 @@ class Pair:
                     return place, False
             sides = sides or [Sides() for _ in turns]
             for side, turned in zip(sides, turns, strict=True):
-                side.see(turned)
+                side.add(turned)
             if seed + 1 >= (NEAR if near else POINTS) and all(side.complete for side in sides):
                 return None, True
         return None, False
 
     def _is_removable(self, values: Mapping[str, Any], place: int, printed: np.ndarray, runs: np.ndarray) -> Any:
-        """True for elements that the first form leaves undefined at zero signals, and the second continues.
+        """True for elements that are undefined at zero signals in the first form and continuous in the second.
 
         The product of 0/0 with 0 is NaN in one form, and 0 in a simplified one. An element that jumps next to this
         point is not continued: it has a value of its own at zero, which the first form does not have.

@@ -81,7 +81,7 @@ def read(expression: Any) -> Node:
     try:
         return _Reader().node(expression)
     except RecursionError:
-        raise UnreadableError("nested deeper than a reader can take in") from None
+        raise UnreadableError("nested too deeply to be printed") from None
 
 
 @final
@@ -95,7 +95,7 @@ class _Reader:
         """The tree of a part."""
         self._count += 1
         if self._count > MOST:
-            raise UnreadableError("longer than a reader can take in")
+            raise UnreadableError("too long to be printed")
         if x.is_symbolic():
             return Name(x.name(), x.shape)
         if x.is_constant():
@@ -116,7 +116,7 @@ class _Reader:
             return relation(RELATIONS[kind], self.node(x.dep(0)), self.node(x.dep(1)), shape)
         if kind in _RULES:
             return _RULES[kind](self, x, shape)
-        raise UnreadableError(f"it holds an operation that has no sign here: {x}")
+        raise UnreadableError(f"it contains an operation without a printed symbol: {x}")
 
     def _output(self, x: Any) -> Node:
         of = x.dep(0)
@@ -131,7 +131,7 @@ class _Reader:
                 return tree.transpose(Piece(inner.of, (start, stop), (0, rows), (stop - start, rows)))
             return Piece(inner, (0, rows), (start, stop), x.shape)
         if not of.is_call():
-            raise UnreadableError(f"it holds an operation that has no sign here: {of}")
+            raise UnreadableError(f"it contains an operation without a printed symbol: {of}")
         called = operation_of(of.which_function())
         if called is None:
             raise UnreadableError(f"it calls {of.which_function().name()}, which is not an operation")
@@ -186,7 +186,7 @@ class _Reader:
         of = x.dep(0)
         if shape[0] == shape[1] == of.shape[0] and of.is_column() and x.sparsity() == ca.Sparsity.diag(shape[0]):
             return tree.diagonal(self.node(of))
-        raise UnreadableError("it spreads elements over a matrix")
+        raise UnreadableError("it distributes elements over a matrix")
 
     def nonzeros(self, x: Any, shape: Shape) -> Node:
         """Elements of a column or a matrix."""
@@ -194,13 +194,13 @@ class _Reader:
         if of.is_scalar():  # one number, as often as needed
             diagonal = shape[0] == shape[1] and x.sparsity() == ca.Sparsity.diag(shape[0])
             if not diagonal and not x.is_dense():
-                raise UnreadableError("it spreads elements over a matrix")
+                raise UnreadableError("it distributes elements over a matrix")
             inner = self.node(of)
             return (
                 tree.multiply(inner, Identity(shape), shape) if diagonal else tree.multiply(inner, _ones(shape), shape)
             )
         if not of.is_dense() or not x.is_dense() or "slice" not in chosen or chosen["slice"]["step"] != 1:
-            raise UnreadableError("it picks elements that are not side by side")
+            raise UnreadableError("it selects elements that are not adjacent")
         start, stop, rows = chosen["slice"]["start"], chosen["slice"]["stop"], of.shape[0]
         inner = self.node(of)
         if of.is_column() and x.is_column():
@@ -209,7 +209,7 @@ class _Reader:
             return Piece(inner, (0, rows), (start // rows, stop // rows), shape)
         if stop - start == 1:
             return Piece(inner, (start % rows, start % rows + 1), (start // rows, start // rows + 1), shape)
-        raise UnreadableError("it picks elements that are not side by side")
+        raise UnreadableError("it selects elements that are not adjacent")
 
     def stacked(self, x: Any, shape: Shape) -> Node:
         """Vertically stacked blocks."""
@@ -228,7 +228,7 @@ class _Reader:
         """a^b of a number b."""
         exponent = self.node(x.dep(1))
         if not isinstance(exponent, Number):
-            raise UnreadableError("it holds a power whose exponent is no number")
+            raise UnreadableError("it contains a power whose exponent is not a number")
         return Power(self.node(x.dep(0)), exponent.value, shape)
 
     def solution(self, x: Any, shape: Shape) -> Node:
@@ -263,14 +263,14 @@ def constant(value: Any) -> Node:
     shape = value.shape
     dense = ca.densify(value)
     if dense.numel() == 0:
-        raise UnreadableError("it holds an empty matrix")
+        raise UnreadableError("it contains an empty matrix")
     first = _fraction(float(dense[0, 0]))
     if all(float(item) == float(dense[0, 0]) for item in dense.nonzeros()):
         return Number(first, shape)
     if shape[0] == shape[1] and ca.DM(dense - dense[0, 0] * ca.DM.eye(shape[0])).is_zero():
         return tree.scale(first, Identity(shape))
     if dense.numel() > 16:
-        raise UnreadableError("it holds a matrix of many numbers")
+        raise UnreadableError("it contains a large numeric matrix")
     rows = ca.vertsplit(dense)
     return Stack(tuple(tuple(Number(_fraction(float(x))) for x in row.nonzeros()) for row in rows), shape)
 
@@ -278,7 +278,7 @@ def constant(value: Any) -> Node:
 def _fraction(value: float) -> Fraction:
     """The intended number: the shortest decimal or small fraction with this value."""
     if not math.isfinite(value):
-        raise UnreadableError("it holds a number that is not finite")
+        raise UnreadableError("it contains a number that is not finite")
     small = Fraction(value).limit_denominator(1000)
     return small if float(small) == value else Fraction(repr(value))
 

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.base import TRUE_VALUES
 from dmframe.block.certificate import Certificate, Consumed
 from dmframe.block.model import BlockModel
 from dmframe.block.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
@@ -54,7 +55,7 @@ class Signs:
             Signals(owner, "inputs", self.columns["inputs"]),
             Signals(owner, "states", self.columns["states"]),
             Signals(owner, "parameters", parameters),
-            Signals(owner, "truths that this diagram has", truth),
+            Signals(owner, TRUE_VALUES, truth),
         )
 
     def as_kind(self, value: Expression) -> Expression:
@@ -175,7 +176,7 @@ class Reading:
         return Evaluated(symbols, equations.expressions, self.zero, gains)
 
     def exactly(self, first: Evaluated, second: Evaluated) -> tuple[Evaluated, Evaluated] | None:
-        """Both in the same SX symbols; None for a block on a robot, whose dynamics hold for true rotations alone."""
+        """Both in the same SX symbols; None for a block with a robot, whose dynamics require true rotations."""
         if self.functions is not None and self.model.robot is not None:
             return None
         gains = full_gains(self.model.block, self.model.parameters)
@@ -187,7 +188,7 @@ class Reading:
                     shared[name] = self.model.parameters[name] if own else ca.SX.sym(name, *symbol.shape)
         try:
             both = first.of(shared), second.of(shared)
-        except RuntimeError:  # a function that has no scalars
+        except RuntimeError:  # a function without scalar expressions
             return None
         one, other = (Evaluated(shared, side, self.zero, [name for name in gains if name in shared]) for side in both)
         return one, other
@@ -224,7 +225,9 @@ class Evaluated:
         free = ca.Function("free", inputs, list(expressions), options | {"allow_free": True})
         if free.has_free():
             names = ", ".join(str(symbol) for symbol in free.get_free())
-            raise BlockError(f"a certificate holds {names}, which is no signal and no parameter of this diagram")
+            raise BlockError(
+                f"a certificate contains {names}, which is neither a signal nor a parameter of this diagram"
+            )
         self._function = free
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
@@ -252,7 +255,7 @@ class Evaluated:
         return list(self._function.call(given))
 
     def only(self, done: Sequence[bool]) -> Evaluated:
-        """The expressions that are not done."""
+        """The expressions that are not done yet."""
         left = [item for item, shown in zip(self.expressions, done, strict=True) if not shown]
         return self if len(left) == len(self.expressions) else Evaluated(self.symbols, left, self.zero, self.gains)
 
@@ -275,7 +278,7 @@ START: Final = "(0)"
 GIVEN: Final = "_given"
 """Suffix of a parameter with the name of a different output: the points of a path, and the path."""
 _CONSTANTS: Final = "constants of the robot"
-_KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a truth"}
+_KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a true value"}
 
 
 def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -> Certificate:

@@ -154,7 +154,7 @@ _DYNAMICS: Final[Mapping[str, Callable[[_Dynamics, Mapping[str, Any]], Any]]] = 
 
 @final
 class ReadRobot:
-    """The object ``p.robot`` while a block is read: the methods and numbers of `SymbolicRobot` that print.
+    """The object ``p.robot`` while a block is read: the methods and numbers of `SymbolicRobot` with a printed symbol.
 
     With `symbolic` its arguments and results are MX and its numbers are symbols; else they are SX.
     """

@@ -248,7 +248,7 @@ def add(left: Node, right: Node, shape: Shape) -> Node:
 
 
 def subtract(left: Node, right: Node, shape: Shape) -> Node:
-    """Left - right; the subtrahend keeps its brackets, unless it contains the left: a - (a + b) is -b."""
+    """Left - right; the subtrahend is in brackets, unless it contains the left: a - (a + b) is -b."""
     if isinstance(right, Sum) and left in right.terms and left.shape == right.shape:
         place = right.terms.index(left)
         rest = (*right.terms[:place], *right.terms[place + 1 :])
@@ -299,9 +299,9 @@ def multiply(left: Node, right: Node, shape: Shape) -> Node:
         if _mixes(one) and not _mixes(other):
             one, other = other, one  # a factor of a matrix-vector product precedes the matrix
         elif _mixes(one):
-            one = _held(one)
+            one = _bracketed(one)
         if _mixes(other) and not _plain(other.below):
-            other = _held(other)
+            other = _bracketed(other)
     return _chain(one, other, shape)
 
 
@@ -309,21 +309,23 @@ def matrix_multiply(left: Node, right: Node, shape: Shape) -> Node:
     """A matrix times a matrix or a column."""
     one, other = product_of(left), product_of(right)
     # an elementwise divisor applies to its own factor only
-    return _chain(one if _plain(one.below) else _held(one), other if _plain(other.below) else _held(other), shape)
+    return _chain(
+        one if _plain(one.below) else _bracketed(one), other if _plain(other.below) else _bracketed(other), shape
+    )
 
 
 def divide(left: Node, right: Node, shape: Shape) -> Node:
     """Element by element, or by a scalar."""
     one, other = product_of(left), product_of(right)
     if _mixes(other):
-        other = _held(other)
+        other = _bracketed(other)
     if not is_scalar(right) and _mixes(one):
-        one = _held(one)
+        one = _bracketed(one)
     coefficient = one.coefficient / other.coefficient
     return finished(Product(coefficient, (*one.factors, *other.below), (*one.below, *other.factors), shape))
 
 
-def _held(product: Product) -> Product:
+def _bracketed(product: Product) -> Product:
     """The product as one factor in brackets, its coefficient in front."""
     inner = replace(product, coefficient=Fraction(1))
     return Product(product.coefficient, (inner,), (), product.shape)
@@ -372,9 +374,9 @@ def _chain(one: Product, other: Product, shape: Shape) -> Node:
         if all(map(is_scalar, other.factors)) and not _made_of_vectors(other):
             one, other = other, one
         else:
-            one = _held(one)
+            one = _bracketed(one)
     if _made_of_vectors(other) and not is_scalar(one):
-        one, other = _held(other), one
+        one, other = _bracketed(other), one
     factors = (*one.factors, *other.factors)
     return finished(Product(one.coefficient * other.coefficient, factors, (*one.below, *other.below), shape))
 

@@ -47,14 +47,14 @@ def _descriptions(node: Node) -> Iterator[tuple[str, str]]:
         case Applied("sum"):
             yield "sum(a)", _SUMMED
         case Applied("vec"):
-            yield "vec(A)", "the columns of A above one another"
+            yield "vec(A)", "the stacked columns of A"
         case Applied("hadamard"):
-            yield "A .* B", "the product element by element"
+            yield "A .* B", "the elementwise product"
         case Name(name) if name in MEANINGS:
             yield unicode_name(name), MEANINGS[name]
         case Name(name) if name.endswith(START):
             bare = unicode_name(name.removesuffix(START))
-            yield unicode_name(name), f"where {bare} starts, the parameter of its name"
+            yield unicode_name(name), f"the initial value of {bare}, the parameter of its name"
         case Name(name) if name.endswith(GIVEN):
             yield unicode_name(name), f"the parameter {name.removesuffix(GIVEN)}"
         case Applied("floor"):
@@ -73,9 +73,9 @@ def _descriptions(node: Node) -> Iterator[tuple[str, str]]:
         case Stack():
             yield _COLUMNS, "stacked columns"
         case Norm(_, True, weight) if weight is not None:
-            yield _WEIGHTED, "aᵀ W a; a column W stands for diag(W)"
+            yield _WEIGHTED, "aᵀ W a; a column W means diag(W)"
         case Product(_, factors) if any(map(_scales, _vectors(factors)[:-1])):
-            yield _DIAGONAL, "diag(K) a where K is a column: a product is read from right to left"
+            yield _DIAGONAL, "diag(K) a if K is a column: products are evaluated from right to left"
         case _:
             return
 

@@ -102,9 +102,9 @@ class Dialect(ABC):
     def unprinted(self, names: Sequence[str]) -> str:
         """An expression that is too long to print."""
 
-    def _held(self, node: Node, least: int = _ATOM) -> str:
-        text, holds = self._written(node)
-        return text if holds >= least else self.bracketed(text)
+    def _operand(self, node: Node, least: int = _ATOM) -> str:
+        text, precedence = self._written(node)
+        return text if precedence >= least else self.bracketed(text)
 
     def _written(self, node: Node) -> tuple[str, int]:
         match node:
@@ -120,20 +120,20 @@ class Dialect(ABC):
             case Product():
                 return self._product(node)
             case Transposed(of):
-                return self.raised(self._held(of), "T"), _ATOM
+                return self.raised(self._operand(of), "T"), _ATOM
             case Diagonal(of):
                 return f"{self.word('diag')}{self.bracketed(self.write(of))}", _ATOM
             case Inverse(of):
-                return self.raised(self._held(of), "-1"), _ATOM
+                return self.raised(self._operand(of), "-1"), _ATOM
             case Power(of, exponent):
-                return self.raised(self._held(of), str(exponent)), _ATOM
+                return self.raised(self._operand(of), str(exponent)), _ATOM
             case Norm(of, squared, weight):
                 below = self.write(weight) if weight is not None else ""
                 return self.norm(self.write(of), squared=squared, weight=below), _ATOM
             case Applied():
                 return self._applied(node), _ATOM
             case Derivative(of, by):
-                return self.derivative(self._held(of), self.write(by)), _ATOM
+                return self.derivative(self._operand(of), self.write(by)), _ATOM
             case Piece(of):
                 return self._piece(node, of), _ATOM
             case Stack(rows):
@@ -142,7 +142,7 @@ class Dialect(ABC):
                 return self.choice(*map(self.write, (relation, yes, no))), _SUM
             case Relation(sign, left, right):
                 if right is None:
-                    return f"{self.relations[sign]} {self._held(left)}", _SUM
+                    return f"{self.relations[sign]} {self._operand(left)}", _SUM
                 return f"{self.write(left)} {self.relations[sign]} {self.write(right)}", _SUM
             case Equation(left, right):
                 return f"{self.write(left)} = {self.write(right)}", _SUM
@@ -167,23 +167,23 @@ class Dialect(ABC):
         for term in terms[1:]:
             negative = isinstance(term, Product | Number) and _sign(term) < 0
             sign = self.minus if negative else "+"
-            text += f" {sign} {self._held(tree.scale(Fraction(-1), term) if negative else term, _PRODUCT)}"
+            text += f" {sign} {self._operand(tree.scale(Fraction(-1), term) if negative else term, _PRODUCT)}"
         return text
 
     def _product(self, product: Product) -> tuple[str, int]:
         coefficient, sign = abs(product.coefficient), self.minus if product.coefficient < 0 else ""
         lead, factors = self.lead(coefficient, bool(product.factors), bool(product.below))
-        divisors = [factors] * bool(factors) + [self._held(node) for node in product.below]
+        divisors = [factors] * bool(factors) + [self._operand(node) for node in product.below]
         chain = self._chain(product.factors)
         above = self.joined([lead, chain] if lead and chain else [lead or chain or "1"])
-        holds = _SUM if sign else _PRODUCT
+        precedence = _SUM if sign else _PRODUCT
         if not divisors:
-            return f"{sign}{above}", holds
+            return f"{sign}{above}", precedence
         below = self.joined(divisors)
         if _mixed_quotient(product):
             above = self.bracketed(above)
         simple = len(divisors) == 1
-        return f"{sign}{self.over(above, below, simple=simple)}", holds
+        return f"{sign}{self.over(above, below, simple=simple)}", precedence
 
     def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
         """The parts of a number before the factors and below them."""
@@ -198,7 +198,7 @@ class Dialect(ABC):
             last = place == len(factors) - 1
             if isinstance(factor, Diagonal) and not last:
                 factor = factor.of
-            pieces.append(self._held(factor))
+            pieces.append(self._operand(factor))
         return self.joined(pieces)
 
     def joined(self, pieces: Sequence[str]) -> str:
@@ -219,7 +219,7 @@ class Dialect(ABC):
         if node.function == "sqrt":
             return f"{self.word('sqrt')}{self.bracketed(arguments[0])}"
         if node.function == "hadamard":
-            return self.bracketed(f"{self._held(node.arguments[0])} .* {self._held(node.arguments[1])}")
+            return self.bracketed(f"{self._operand(node.arguments[0])} .* {self._operand(node.arguments[1])}")
         head = self.name(node.function) if node.symbol else self.word(node.function)
         return f"{head}{self.bracketed(', '.join(arguments))}"
 

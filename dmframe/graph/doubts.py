@@ -19,7 +19,7 @@ def doubts(graph: BaseGraph, recording: Recording) -> tuple[str, ...]:
 
     with SYMBOLIC:
         left = tuple(
-            f"{text}: no controller can follow it there" for text in out_of_reach(graph.diagram, recording.duration)
+            f"{text}: no controller can track it there" for text in out_of_reach(graph.diagram, recording.duration)
         )
     if graph.clock is None or recording.divergence is not None or recording.duration < LONG:
         return left
@@ -29,7 +29,7 @@ def doubts(graph: BaseGraph, recording: Recording) -> tuple[str, ...]:
     if radius is None or radius <= 1 + TOLERANCE:
         return left
     remark = (
-        f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
+        f"with its estimates at their true values this loop is unstable near its set-point with a clock of "
         f"{plain(graph.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` gives details"
     )
     return (*left, remark)

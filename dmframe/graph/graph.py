@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, final
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.common import notebook
@@ -19,6 +19,7 @@ from dmframe.graph.progress import progress_line, shown
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.drive import Rehearsal, Replay
+    from dmframe.export import TargetFunction
     from dmframe.graph.progress import Bar
     from dmframe.page import Page
     from dmframe.report.analysis import Analysis
@@ -209,7 +210,7 @@ class Graph(BaseGraph):
             ``sim``, the graph's own robot; ``sim:2``, the same with a delay of two samples; ``ur:HOST``, or
             ``ur_rtde:HOST``.
         until
-            Time of the reference; by default the graph's duration.
+            Limits of the drive: a file; by default the limits of the robot's model.
         limits
             A file; by default the limits of the robot's model.
         ramp
@@ -268,7 +269,7 @@ class Graph(BaseGraph):
         until
             Time of each run.
         payload
-            Mass at the tool that the controller does not know [kg]; by default a twentieth of the moving mass.
+            Mass at the tool that is unknown to the controller [kg]; by default a twentieth of the moving mass.
         limits, ramp, patience
             As of `drive`, which requires the same.
         """
@@ -331,14 +332,16 @@ class Graph(BaseGraph):
         from dmframe.page.periods import stable_periods
 
         verdict, found = self.verify().verdict, None
-        if periods:
-            with progress_line(self.name) as tell, SYMBOLIC:
-                found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
-        page = Page(self, verdict, found)
-        _ = page.html
+        with progress_line(self.name) as tell:
+            if periods:
+                with SYMBOLIC:
+                    found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
+            tell("compiling the loop for a browser")
+            page = Page(self, verdict, found)
+            _ = page.html
         return page
 
-    def export(self, folder: str | Path, kind: Literal["c", "fmi2", "fmi3", "ros2"] = "c") -> list[Path]:
+    def export(self, folder: str | Path, kind: str | TargetFunction = "c") -> list[Path]:
         """Export its controller for other programs to a new folder; returns the files.
 
         Parameters
@@ -346,20 +349,16 @@ class Graph(BaseGraph):
         kind
             ``c``: C99, with an example and a test. ``fmi2``, ``fmi3``: two units of that version of FMI for
             co-simulation, the controller and the robot with its servo. ``ros2``: a package with a controller of
-            ros2_control.
+            ros2_control. Or a function of the graph that returns the files by their names.
 
         Raises
         ------
         DmframeError
             It runs in continuous time, has no command, or draws random numbers; or the folder exists already.
         """
-        from dmframe.export import export_c, export_fmus, export_ros2
+        from dmframe.export.folder import export
 
-        if kind in ("c", "ros2"):
-            return (export_c if kind == "c" else export_ros2)(self, folder)
-        if kind not in ("fmi2", "fmi3"):
-            raise ValueFault(f"kind: expected c, fmi2, fmi3 or ros2, found {kind!r}")
-        return export_fmus(self, folder, 2 if kind == "fmi2" else 3)
+        return export(self, folder, kind)
 
     def virtual_robot(self, **behaviour: Any) -> VirtualRobot:
         """Its arm and servo behind an emulated UR controller, to which clients of a UR can connect.

@@ -13,8 +13,8 @@ def labels_of(items: Sequence[tuple[str, BaseGraph]]) -> list[str]:
     """Names, made distinct by the values set in their graphs, or by a number."""
     labels = list[str]()
     for name, graph in items:
-        alike = [set(other.overrides) for called, other in items if called == name]
-        own = [text for text in graph.overrides if not all(text in others for others in alike)]
+        same_name = [set(other.overrides) for called, other in items if called == name]
+        own = [text for text in graph.overrides if not all(text in others for others in same_name)]
         labels.append(f"{name} {', '.join(map(_short, own))}".strip())
     return made_distinct(labels, lambda label, count: f"{label} {count}")
 

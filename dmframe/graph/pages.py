@@ -18,7 +18,7 @@ from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, Period, Source, Time, Wire
 from dmframe.formula import Line
-from dmframe.formula.alone import in_yaml, options_of, plainest
+from dmframe.formula.alone import in_yaml, options_of, simplest
 from dmframe.formula.docstring import check_docstring
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.where import sizes_show, where
@@ -130,7 +130,7 @@ _INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent"
 
 def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
     """The equations with default options, the changes by each option, and the meaning of their symbols."""
-    found = plainest(kind)
+    found = simplest(kind)
     if found is None:
         yield "law\n  not available without parameter values: see it in a graph's report"
         return

@@ -20,7 +20,7 @@ __all__ = ["Bar", "Bars", "counting", "progress_line", "shown"]
 
 
 def _aside() -> Console:
-    """Standard error for literal texts: names may contain characters that rich would interpret as markup.
+    """Standard error for literal text: names may contain characters that rich would interpret as markup.
 
     Where rich takes a text without its console (`TextColumn`, a status), markup has to be disabled there too.
     """
@@ -101,7 +101,8 @@ def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar 
 def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Show the current step in one transient line; nothing if standard error is not displayed.
 
-    It takes no thread, with which the process could not be copied (`dmframe.common.copies`), and no import of rich.
+    It starts no thread, since a process with threads cannot be forked (`dmframe.common.copies`). It does not import
+    rich.
     """
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
@@ -109,17 +110,17 @@ def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str],
     width = shutil.get_terminal_size().columns - 1
     shown = ""
 
-    def tell(text: str) -> None:
+    def show(text: str) -> None:
         nonlocal shown
         before, shown = shown, visible(text)[:width]
         sys.stderr.write(f"\r{shown:{len(before)}}")
         sys.stderr.flush()
 
-    tell(name)
+    show(name)
     try:
-        yield lambda text: tell(f"{name}: {text}")
+        yield lambda text: show(f"{name}: {text}")
     finally:
-        tell("")
+        show("")
         sys.stderr.write("\r")
         sys.stderr.flush()
 

@@ -21,7 +21,7 @@ SECTIONS: Final = {"source": "", "known_errors": "Known errors"}
 
 
 def robot_data(name: str) -> dict[str, Any]:
-    """A robot as a graph gets it by its name; missing limits are None.
+    """A robot as a graph loads it by its name; missing limits are None.
 
     Raises the errors of `dmframe.robot.library.load`.
     """

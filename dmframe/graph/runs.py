@@ -139,7 +139,7 @@ def compare(
     DmframeError
         Faults of all graphs, before any of them runs.
     """
-    if isinstance(items, Run | Graph | str | Path | Mapping):  # one alone
+    if isinstance(items, Run | Graph | str | Path | Mapping):  # a single item
         items = [items]
     found: list[Graph | Run] = [item if isinstance(item, Run) else load(item) for item in items]
     for item in found:
@@ -186,7 +186,7 @@ def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
 
 
 def _same_settings(base: BaseGraph, other: BaseGraph) -> bool:
-    """The files differ in their blocks alone."""
+    """True if the files differ in their blocks only."""
     return base.file.model_copy(update={"blocks": {}}) == other.file.model_copy(update={"blocks": {}})
 
 

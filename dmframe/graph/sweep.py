@@ -94,9 +94,9 @@ def sweep(
     lengths = {label: len(several) for label, several in tried.items()}
     if design == "list" and len(set(lengths.values())) > 1:
         counts = ", ".join(f"{label} {length}" for label, length in lengths.items())
-        raise ValueFault(f"values: expected lists of one length, found {counts}")
+        raise ValueFault(f"values: expected lists of equal length, found {counts}")
     _check_distinct(tried)
-    wanted = _wanted(base, signals, limits)
+    wanted = _measured_signals(base, signals, limits)
     shape = tuple(lengths.values()) if design == "grid" else (max(lengths.values(), default=1),)
     if (runs := math.prod(shape)) > MOST_RUNS:
         raise ValueFault(f"values: expected at most {MOST_RUNS} runs, found {runs}; take fewer, or run a study")
@@ -114,11 +114,11 @@ def _check_distinct(labels: Iterable[str]) -> None:
     for label in labels:
         name = label.strip().removeprefix("blocks.")
         if name in found:
-            raise ValueFault(f"values: {found[name]} and {label} are the same parameter; leave one out")
+            raise ValueFault(f"values: {found[name]} and {label} are the same parameter; remove one")
         found[name] = label
 
 
-def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | str] | None) -> MeasuredSignals:
+def _measured_signals(base: Graph, signals: Sequence[str], limits: Mapping[str, float | str] | None) -> MeasuredSignals:
     """What to measure, with limits as numbers. `Batch.of` refuses unknown names."""
     labels = [signals] if isinstance(signals, str) else signals
     labels = list(labels) if isinstance(labels, Iterable) else [labels]

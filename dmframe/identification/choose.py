@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
@@ -94,7 +95,8 @@ class Choice:
 def criterion(fit: Fit, inflation: Array) -> float:
     """Bayesian information criterion of a fit, with the effective number of samples of the closest fit."""
     effective = len(fit.residual) / inflation**2
-    free = fit.unknowns.places["B"].start  # the candidates differ in the servo's parameters only
+    places = fit.unknowns.places  # candidates differ in the servo's parameters and in the friction per torque only
+    free = places["B"].start + (fit.unknowns.model.n if "L" in places else 0)
     return float(np.sum(2 * effective * np.log(fit.rms)) + free * np.log(max(float(np.sum(effective)), 2.0)))
 
 
@@ -104,48 +106,126 @@ def floor_of(log: Log) -> Array:
     return np.asarray(np.hypot(log.noise, SHARE * np.std(error, axis=0)) + 1e-7)
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The classes of servos, fitted to a log.
+
+    Parameters
+    ----------
+    choice
+        The best fit of each so far, which `fit`, `refine` and `again` improve.
+    by_torque
+        Whether friction grows with the torque.
+    """
+
+    twins: Twins
+    log: Log
+    choice: Choice
+    by_torque: bool
+
+    @cached_property
+    def unknowns(self) -> dict[str, Unknowns]:
+        """Unknowns of each candidate."""
+        return {kind: Unknowns(self.twins.model, self.log, kind, self.by_torque) for kind in SERVOS}
+
+    @property
+    def explained(self) -> bool:
+        """True if a candidate's residual is near the floor."""
+        return any(map(self.choice.explained, self.choice.fits))
+
+    @property
+    def sharp(self) -> bool:
+        """True if the best candidate leaves noise only."""
+        return self.choice.sharp(self.choice.best)
+
+    def fit(self, started: Mapping[str, Array]) -> None:
+        """Fit candidates, each from a start, or from the candidate that explains the log if that is nearer."""
+        for kind, start in started.items():
+            own, found = self.unknowns[kind], self.choice
+            known = [fit for other, fit in found.fits.items() if found.explained(other)]
+            if known:
+                closest = min(known, key=lambda fit: float(np.sum(np.log(fit.rms))))
+                others = [start, own.carried(closest.unknowns, closest.theta)]
+                start = min(others, key=lambda theta: total(self.twins, own, theta))
+            self._keep(solved(self.twins, own, start, BRIEF if known else ROUNDS))
+
+    def fit_from(self, other: Candidates) -> None:
+        """Fit candidates from the fits of others, those first that are nearest."""
+        near = sorted(other.choice.fits.items(), key=lambda item: float(np.sum(np.log(item[1].rms))))
+        self.fit({kind: self.unknowns[kind].carried(fit.unknowns, fit.theta) for kind, fit in near})
+
+    def refine(self) -> None:
+        """Fit the best candidate further, if it explains the log: rounds may have been few, the integrator coarse.
+
+        A cascade whose feed-forward is complete is a PID servo: both have to converge before they are compared.
+        """
+        found, pid = self.choice, self.unknowns["pid"]
+        best = found.fits[found.best]
+        if best.unknowns.kind == "p_pi" and np.all(np.abs(best.theta[best.unknowns.places["f"]] - 1) < ABOUT):
+            self._keep(solved(self.twins, pid, pid.carried(best.unknowns, best.theta)))
+            best = found.fits[found.best]
+        if found.explained(found.best):
+            step = fine_step(self.twins, best, found.floor)
+            found.fits[found.best] = solved(self.twins, best.unknowns, best.theta, step=step)
+
+    def again(self) -> None:
+        """Fit from more starts until a fit leaves noise only: other delays, of all candidates that explain the log."""
+        found = self.choice
+        near = found.fits[found.best]
+        own = [self.unknowns[kind] for kind in self.unknowns if found.explained(kind) or kind == found.best]
+        for candidate in own:
+            for theta in _shifted(candidate, near):
+                if not self.sharp:
+                    self._keep(solved(self.twins, candidate, theta, BRIEF))
+
+    def _keep(self, fit: Fit) -> None:
+        """Keep a fit if it is the best of its candidate."""
+        fits, kind = self.choice.fits, fit.unknowns.kind
+        if kind not in fits or np.sum(np.log(fit.rms)) < np.sum(np.log(fits[kind].rms)):
+            fits[kind] = fit
+
+
 def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: None) -> Choice:
-    """Fit all candidates to a log, those first whose filtered rows leave the least residual."""
-    rows, found = rows_of(twins.model, log), Choice({}, floor_of(log), log.noise)
-    unknowns = {kind: Unknowns(twins.model, log, kind) for kind in SERVOS}
-    started = {kind: starts(own, rows) for kind, own in unknowns.items()}
+    """Fit all candidates to a log; with friction that grows with the torque if the log shows it.
+
+    Each candidate is fitted from several starts, until one explains the log, those first whose filtered rows leave the
+    least residual.
+    """
+    rows, floor = rows_of(twins.model, log), floor_of(log)
+    plain, growing = (Candidates(twins, log, Choice({}, floor, log.noise), by_torque) for by_torque in (False, True))
+    started = {kind: starts(own, rows) for kind, own in plain.unknowns.items()}
     order = sorted(started, key=lambda kind: started[kind][0][0])
     for attempt in range(STARTS):
-        for kind in order:
-            say(f"fitting {kind}, start {attempt + 1}")
-            _fitted(twins, unknowns[kind], started[kind][attempt][1], found)
-        if any(map(found.explained, found.fits)):
+        say(f"fitting {', '.join(order)}, start {attempt + 1}")
+        plain.fit({kind: started[kind][attempt][1] for kind in order})
+        if plain.explained:
             break
-    _refined(twins, unknowns, found)
-    if found.explained(found.best) and not found.sharp(found.best):
+        say("fitting with friction that grows with the torque")
+        growing.fit_from(plain)
+        if growing.explained:
+            break
+    found = plain
+    found.refine()
+    if not found.sharp:
+        if not growing.choice.fits:
+            say("fitting with friction that grows with the torque")
+            growing.fit_from(plain)
+        growing.refine()
+        if _clearer(growing.choice, plain.choice):
+            found = growing
+    if found.explained and not found.sharp:
         say("fitting, more starts")
-        _again(twins, unknowns, found)
-        _refined(twins, unknowns, found)
-    return found
+        found.again()
+        found.refine()
+    return found.choice
 
 
-def _refined(twins: Twins, unknowns: Mapping[str, Unknowns], found: Choice) -> None:
-    """Fit the best candidate further, if it explains the log: its rounds may have been few, and the integrator coarse.
-
-    A cascade whose feed-forward is complete is a PID servo: both have to converge before they are compared.
-    """
-    best = found.fits[found.best]
-    if best.unknowns.kind == "p_pi" and np.all(np.abs(best.theta[best.unknowns.places["f"]] - 1) < ABOUT):
-        start = unknowns["pid"].carried(best.unknowns, best.theta)
-        _kept(found, "pid", solved(twins, unknowns["pid"], start))
-        best = found.fits[found.best]
-    if found.explained(found.best):
-        found.fits[found.best] = solved(twins, best.unknowns, best.theta, step=fine_step(twins, best, found.floor))
-
-
-def _again(twins: Twins, unknowns: Mapping[str, Unknowns], found: Choice) -> None:
-    """Fit from more starts until a fit leaves noise only: with other delays, of all candidates that explain the log."""
-    near = found.fits[found.best]
-    own = [unknowns[kind] for kind in unknowns if found.explained(kind) or kind == found.best]
-    for candidate in own:
-        for theta in _shifted(candidate, near):
-            if not found.sharp(found.best):
-                _kept(found, candidate.kind, solved(twins, candidate, theta, BRIEF))
+def _clearer(other: Choice, found: Choice) -> bool:
+    """True if the best fit of `other`, with more unknowns, has the smaller criterion."""
+    own, its = found.fits[found.best], other.fits[other.best]
+    closest = min((own, its), key=lambda fit: float(np.sum(np.log(fit.rms))))
+    return criterion(its, closest.inflation) < criterion(own, closest.inflation)
 
 
 def _shifted(unknowns: Unknowns, near: Fit) -> Iterator[Array]:
@@ -165,19 +245,3 @@ def _shifted(unknowns: Unknowns, near: Fit) -> Iterator[Array]:
             if "f" in unknowns.places:
                 theta[unknowns.places["f"]] = np.clip(f + a * change * period, 0.0, 1.5)[:, 0]
             yield theta
-
-
-def _fitted(twins: Twins, unknowns: Unknowns, start: Array, found: Choice) -> None:
-    """Fit a candidate from a start, or from the candidate that explains the log if that is nearer."""
-    known = [fit for kind, fit in found.fits.items() if found.explained(kind)]
-    if known:
-        closest = min(known, key=lambda fit: float(np.sum(np.log(fit.rms))))
-        others = [start, unknowns.carried(closest.unknowns, closest.theta)]
-        start = min(others, key=lambda theta: total(twins, unknowns, theta))
-    _kept(found, unknowns.kind, solved(twins, unknowns, start, BRIEF if known else ROUNDS))
-
-
-def _kept(found: Choice, kind: str, fit: Fit) -> None:
-    """Keep a fit if it is the best of its candidate."""
-    if kind not in found.fits or np.sum(np.log(fit.rms)) < np.sum(np.log(found.fits[kind].rms)):
-        found.fits[kind] = fit

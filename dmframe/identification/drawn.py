@@ -37,8 +37,8 @@ class Plant:
     ----------
     servo
         Gains of the servo's block, by name, (n,) each.
-    viscous, coulomb, sticking
-        (n,), friction B, D and S.
+    viscous, coulomb, sticking, per_torque
+        (n,), friction B, D, S and L.
     velocity
         Stribeck velocity [rad/s].
     bodies, rotors
@@ -51,6 +51,7 @@ class Plant:
     viscous: Array
     coulomb: Array
     sticking: Array
+    per_torque: Array
     velocity: float
     bodies: Array
     rotors: Array
@@ -64,32 +65,44 @@ class Plant:
         own = {name: theta[unknowns.places[name]] for name in SERVOS[unknowns.kind]}
         gains = {name: np.maximum(value, 0.0) if name == "f" else np.exp(value) for name, value in own.items()}
         bodies, rotors = bodies_of(unknowns, number["beta"])
-        friction = {name: np.maximum(number[name], 0.0) for name in ("B", "D", "S")}
+        friction = {name: np.maximum(number[name], 0.0) for name in ("B", "D", "S", "L")}
         return cls(
             servo=servo_of(unknowns.kind, 1 / number["w"], gains),
             viscous=friction["B"],
             coulomb=friction["D"],
             sticking=friction["S"],
+            per_torque=friction["L"],
             velocity=float(number["v_s"][0]),
             bodies=bodies,
             rotors=rotors,
             delay=whole(float(theta[unknowns.places["delay"]][0])),
         )
 
-    def blocks(self, servo: str, stribeck: bool) -> dict[str, dict[str, Any]]:
-        """Blocks of a graph: a servo of this type, the arm and, with `stribeck`, its friction at low speed."""
+    def blocks(self, servo: str, rubbing: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Blocks of a graph: a servo of this type, the arm and the terms `rubbing` of its friction, by `rubbing_of`."""
         arm = {"viscous": plain(self.viscous), "coulomb": plain(self.coulomb), "rotor": plain(self.rotors)}
         found: dict[str, dict[str, Any]] = {
             "servo": {"type": servo} | {name: plain(value) for name, value in self.servo.items()},
             "arm": {"type": "loaded_manipulator", **arm, "bodies": [plain(row) for row in self.bodies]},
         }
-        if stribeck:
-            found["rubbing"] = {
-                "type": "stribeck_friction",
-                "sticking": plain(self.sticking),
-                "velocity": plain([self.velocity])[0],
-            }
+        if rubbing:
+            found["rubbing"] = {"type": "stribeck_friction", **self.rubbing(rubbing)}
         return found
+
+    def rubbing(self, terms: Sequence[str]) -> dict[str, Any]:
+        """Parameters of `stribeck_friction` for the terms `rubbing_of`."""
+        found: dict[str, Any] = {}
+        if "sticking" in terms:
+            found |= {"sticking": plain(self.sticking), "velocity": plain([self.velocity])[0]}
+        if "per_torque" in terms:
+            found["per_torque"] = plain(self.per_torque)
+        return found
+
+
+def rubbing_of(found: Identified) -> tuple[str, ...]:
+    """Terms of the friction that viscous and Coulomb friction do not contain, if their intervals exclude zero."""
+    own = found.friction
+    return tuple(name for name in ("sticking", "per_torque") if name in own and np.any(own[name][1][:, 0] > 0))
 
 
 def servo_of(kind: str, speed: Array, gains: dict[str, Array]) -> dict[str, Array]:

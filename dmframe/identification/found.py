@@ -121,8 +121,10 @@ class Identified:
 
     @property
     def friction(self) -> dict[str, tuple[Array, Array]]:
-        """Friction with limits."""
+        """Friction with limits; `per_torque` is there only if the log shows that friction grows with the torque."""
         joints = {"viscous": "B", "coulomb": "D", "sticking": "S"}
+        if self.fit.unknowns.by_torque:
+            joints["per_torque"] = "L"
         shared = {"friction_velocity": "v_0", "stribeck_velocity": "v_s"}
         found = {name: self.number(own, 0.0) for name, own in joints.items()}
         return found | {name: self.positive(own) for name, own in shared.items()}

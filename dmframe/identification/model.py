@@ -5,7 +5,7 @@ r"""The twin's equations: a servo of one family on each joint, and the robot's d
     \tau_j        &= (f_j \dot q_{c,j} + a_j q_{c,j} - b_j q_j - \dot q_j) / w_j + z_j                    \tag{1} \\
     \dot z_j      &= c_j (q_{c,j} - q_j) / w_j                                                             \tag{2} \\
     M(q, \beta) \ddot q + h(q, \dot q, \beta)
-                  &= \tau - B \dot q - (D + S e^{-(\dot q / v_s)^2}) \tanh(\dot q / v_0)            \tag{3}
+                  &= \tau - B \dot q - (D + S e^{-(\dot q / v_s)^2} + L |\tau|) \tanh(\dot q / v_0)  \tag{3}
 
 q and q_c in (1) are deviations from the first position of the log. Initially z holds the robot: :math:`z(0) = h + o`,
 with the offset o. PID servo: f = 1, a = b = k_P, c = k_I. PI servo: f = 1, a = b = k_I, c = 0. P-PI cascade with gains
@@ -29,7 +29,7 @@ from dmframe.robot.symbolic import SymbolicRobot
 
 Array = np.ndarray
 
-JOINT: Final = ("f", "a", "b", "c", "w", "B", "D", "S", "offset", "q_0", "dq_0", "e_0")
+JOINT: Final = ("f", "a", "b", "c", "w", "B", "D", "S", "L", "offset", "q_0", "dq_0", "e_0")
 """Numbers of each joint: (1) to (3), and q, dq and q_c - q at the first sample."""
 SHARED: Final = ("v_0", "v_s", "delay")
 """Numbers of all joints: velocities of the friction law [rad/s], and the delay [s] relative to the schedule's."""
@@ -112,17 +112,27 @@ class Model:
         """Function (x, dq_c, p) -> rate of x = (q, dq, q_c, z)."""
         n, (robot, beta, bodies, rotors, _) = self.n, self._robot
         x, u, p = ca.SX.sym("x", 4 * n), ca.SX.sym("u", n), ca.SX.sym("p", self.size)
-        q, v, q_c, z = (x[k * n : (k + 1) * n] for k in range(4))
-        f, a, b, c, w, B, D, S = (p[self.places[name]] for name in JOINT[:8])
-        v_0, v_s = p[self.places["v_0"]], p[self.places["v_s"]]
-        moved = q - p[self.places["q_0"]]
-        tau = (f * u + a * q_c - b * moved - v) / w + z
-        dry = (D + S * decayed(v / v_s)) * ca.tanh(v / v_0)
+        q, v, q_c = (x[k * n : (k + 1) * n] for k in range(3))
+        tau, moved = self._torque(x, u, p)
+        c, w, B, v_0 = (p[self.places[name]] for name in ("c", "w", "B", "v_0"))
+        dry = self._dry(v, tau, p) * ca.tanh(v / v_0)
         M = robot.mass_matrix(q, bodies) + ca.diag(rotors)
         ddq = solve_spd(M, tau - B * v - dry - robot.inverse_dynamics(q, v, v, ca.SX(n, 1), bodies))
         [stated] = self._numeric(ca.vertcat(v, ddq, u, c * (q_c - moved) / w))
         [stated] = ca.substitute([stated], [beta], [p[self.places["beta"]]])
         return ca.Function("rate", [x, u, p], [ca.densify(stated)])
+
+    def _torque(self, x: Any, u: Any, p: Any) -> tuple[Any, Any]:
+        """The servo's torque (1) at a state x, and q relative to the first sample."""
+        n = self.n
+        q, v, q_c, z = (x[k * n : (k + 1) * n] for k in range(4))
+        f, a, b, w, q_0 = (p[self.places[name]] for name in ("f", "a", "b", "w", "q_0"))
+        return (f * u + a * q_c - b * (q - q_0) - v) / w + z, q - q_0
+
+    def _dry(self, v: Any, tau: Any, p: Any) -> Any:
+        """D + S exp(-(v/v_s)^2) + L |tau| of (3)."""
+        D, S, L, v_s = (p[self.places[name]] for name in ("D", "S", "L", "v_s"))
+        return D + S * decayed(v / v_s) + L * ca.fabs(tau)
 
     @cached_property
     def implicit(self) -> Any:
@@ -131,7 +141,7 @@ class Model:
         .. math::
 
             S = (M(q) + \gamma h K)^{-1} M(q), \quad
-            K = \mathrm{diag}(1/w + B + (D + S_j e^{-(v/v_s)^2}) / \sqrt{v_0^2 + v^2})
+            K = \mathrm{diag}(1/w + B + (D + S e^{-(v/v_s)^2} + L |\tau|) / \sqrt{v_0^2 + v^2})
 
         with the slowest velocity v from the present one to that after an explicit step. The last term is near the
         secant of the friction law, tanh(v / v_0) / v, at least its slope. The method is stable with K from half of the
@@ -142,8 +152,9 @@ class Model:
         q, now = x[:n], x[n : 2 * n]
         after = now + h * rate[n : 2 * n]
         v = ca.fmax(ca.fmin(ca.fabs(now), ca.sign(now) * after), 0)
-        w, B, D, S, v_0, v_s = (p[self.places[name]] for name in ("w", "B", "D", "S", "v_0", "v_s"))
-        K = 1 / w + B + (D + S * decayed(v / v_s)) / ca.sqrt(v_0 * v_0 + v * v)
+        w, B, v_0 = (p[self.places[name]] for name in ("w", "B", "v_0"))
+        tau, _ = self._torque(x, rate[2 * n : 3 * n], p)  # the rate of q_c is the command
+        K = 1 / w + B + self._dry(v, tau, p) / ca.sqrt(v_0 * v_0 + v * v)
         M = robot.mass_matrix(q, bodies) + ca.diag(rotors)
         [stated] = self._numeric(solve_spd(M + float(ROS34PW2.gamma) * h * ca.diag(K), M))
         [stated] = ca.substitute([stated], [beta], [p[self.places["beta"]]])

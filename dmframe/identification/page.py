@@ -26,6 +26,7 @@ MEANINGS: Final = {
     "viscous": ("viscous friction", "N m s/rad"),
     "coulomb": ("Coulomb friction", "N m"),
     "sticking": ("additional friction at low speed", "N m"),
+    "per_torque": ("friction per torque", ""),
     "friction_velocity": ("velocity of the friction law", "rad/s"),
     "stribeck_velocity": ("Stribeck velocity", "rad/s"),
 }

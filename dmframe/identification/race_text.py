@@ -11,7 +11,7 @@ import numpy as np
 
 from dmframe.catalogue import find_twin
 from dmframe.common.errors import MissingError
-from dmframe.identification.drawn import MOST_SAMPLES, Plant, periods, plain, thetas, whole
+from dmframe.identification.drawn import MOST_SAMPLES, Plant, periods, plain, rubbing_of, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.robot_file import TOOL
 from dmframe.identification.tool_path import Place, place_of
@@ -79,7 +79,7 @@ def race_text(found: Identified, draws: int, place: Place, seed: int = 0) -> str
     plants = [Plant.of(unknowns, found.fit.theta)]
     plants += [Plant.of(unknowns, theta) for theta in thetas(found, draws, seed).T]
     names = [FIT, *(f"draw_{k}" for k in range(1, draws + 1))]
-    stribeck = bool((found.friction["sticking"][1][:, 0] > 0).any())
+    rubbing = rubbing_of(found)
     data["robot"] = {
         "model": "twin.urdf",
         "tool": TOOL,
@@ -88,7 +88,7 @@ def race_text(found: Identified, draws: int, place: Place, seed: int = 0) -> str
     }
     data["start"], data["clocks"] = {"near": plain(place.q)}, [clock]
     data["plants"] = {
-        name: plant.blocks(SERVO[found.kind], stribeck)
+        name: plant.blocks(SERVO[found.kind], rubbing)
         | {"transport_delay": plain([whole(plant.delay * log.period / clock)])[0]}
         for name, plant in zip(names, plants, strict=True)
     }

@@ -4,8 +4,9 @@ With the filtered motion, and m the measured signal of a joint,
 
 .. math::
 
-    m = k \, (Y(q, \dot q, \ddot q) \beta + B \dot q
-        + (D + S e^{-(\dot q/v_s)^2}) \tanh(\dot q / v_0)) + \mathrm{const}.
+    m &= k \tau + \mathrm{const}, \\
+    \tau &= Y(q, \dot q, \ddot q) \beta + B \dot q
+        + (D + S e^{-(\dot q/v_s)^2} + L |\tau|) \tanh(\dot q / v_0).
 
 For torques, k times the identified gains are the absolute ones; for currents, k is the inverse of the motor's constant.
 """
@@ -81,8 +82,9 @@ def torque_of(fit: Fit) -> Array:
     ddq = np.gradient(dq, log.time, axis=0)
     rows = np.array(model.torque_rows.map(len(q))(q.T, dq.T, ddq.T)).reshape(model.n, len(q), -1)
     slow = np.exp(-((dq / number["v_s"]) ** 2))
-    dry = (number["D"] + number["S"] * slow) * np.tanh(dq / number["v_0"])
-    return filtered(log, np.einsum("jkb,b->kj", rows, number["beta"]) + number["B"] * dq + dry)
+    sign = np.tanh(dq / number["v_0"])
+    tau = np.einsum("jkb,b->kj", rows, number["beta"]) + number["B"] * dq + (number["D"] + number["S"] * slow) * sign
+    return filtered(log, tau / (1 - number["L"] * np.sign(tau) * sign))  # L < 1: tau has the sign of the rest
 
 
 def _factor(signal: str, j: int, torque: Array, measured: Array) -> Factor:

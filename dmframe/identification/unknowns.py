@@ -35,6 +35,8 @@ positive definite.
 """
 _FRICTION: Final = {"B": 0.03, "D": 0.05, "S": 0.01}
 """Standard deviations of w B, w D [rad/s] and w S [rad/s] before the log is seen."""
+BY_TORQUE: Final = 0.05
+"""Standard deviation of L, the friction per torque, before the log is seen."""
 
 
 @final
@@ -48,17 +50,21 @@ class Unknowns:
         The robot's twin, and what was recorded.
     kind
         A key of `SERVOS`.
+    by_torque
+        Whether friction grows with the torque: L is an unknown, otherwise zero.
     """
 
     model: Model
     log: Log
     kind: str
+    by_torque: bool = False
 
     @cached_property
     def places(self) -> dict[str, slice]:
         """Places in theta; joint by joint for each name, then shared ones."""
         n, at, found = self.model.n, 0, dict[str, slice]()
-        for name in ("w", *SERVOS[self.kind], *_FRICTION, "offset", "q_0", "dq_0"):
+        growing = ("L",) if self.by_torque else ()
+        for name in ("w", *SERVOS[self.kind], *_FRICTION, *growing, "offset", "q_0", "dq_0"):
             found[name], at = slice(at, at + n), at + n
         for name in ("v_0", "v_s", "delay"):
             found[name], at = slice(at, at + 1), at + 1
@@ -119,6 +125,8 @@ class Unknowns:
         mean, deviation = np.zeros(self.size), np.full(self.size, np.inf)
         for name, value in _FRICTION.items():
             deviation[self.places[name]] = value
+        if "L" in self.places:
+            deviation[self.places["L"]] = BY_TORQUE
         deviation[self.places["offset"]] = 0.05
         deviation[self.places["q_0"]] = max(3 * self.log.noise, 1e-6)
         deviation[self.places["dq_0"]] = 0.05 if self.log.moving else 1e-4
@@ -139,6 +147,8 @@ class Unknowns:
         p[to["f"]], p[to["a"]], p[to["b"]], p[to["c"]] = self.family(theta)
         for name in _FRICTION:
             p[to[name]] = theta[at[name]] / w
+        if "L" in at:
+            p[to["L"]] = theta[at["L"]]
         p[to["offset"]] = theta[at["offset"]] / w
         p[to["q_0"]] = self.log.q[0][:, None] + theta[at["q_0"]]
         p[to["dq_0"]], p[to["e_0"]] = theta[at["dq_0"]], self.log.ahead[:, None]

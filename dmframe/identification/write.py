@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from dmframe.catalogue import find_twin
 from dmframe.common.files import write_text, writing
-from dmframe.identification.drawn import Plant, periods, plain, thetas, whole
+from dmframe.identification.drawn import Plant, periods, plain, rubbing_of, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
 from dmframe.identification.page import as_html
@@ -90,7 +91,7 @@ def graph_text(found: Identified) -> str:
     data = _template(found, found.kind)
     unknowns = found.fit.unknowns
     plant, log, count = Plant.of(unknowns, found.fit.theta), unknowns.log, periods(found)
-    blocks, stribeck = data["blocks"], bool(np.any(found.friction["sticking"][1][:, 0] > 0))
+    blocks, rubbing = data["blocks"], rubbing_of(found)
     data["title"] = f"Identified {unknowns.model.chain.name}, which follows a joint path"
     data["clock"] = float(round(count * log.period, 9))
     samples, share = divmod(whole(plant.delay / count), 1)
@@ -99,11 +100,11 @@ def graph_text(found: Identified) -> str:
         del blocks["delay"]["share"]
         if not samples:
             del blocks["delay"]
-    if stribeck:
-        blocks["rubbing"] |= {"sticking": plain(plant.sticking), "velocity": plant.velocity}
+    if rubbing:
+        blocks["rubbing"] = {"type": blocks["rubbing"]["type"], **plant.rubbing(rubbing)}
     else:
         del blocks["rubbing"]
-    return _yaml(_with_numbers(data, found))
+    return _yaml(_with_numbers(data, found, rubbing))
 
 
 def adaptive_text(found: Identified) -> str | None:
@@ -159,14 +160,14 @@ def _template(found: Identified, name: str) -> Any:
     return data
 
 
-def _with_numbers(data: Any, found: Identified) -> Any:
-    """The graph with the identified numbers and their intervals."""
+def _with_numbers(data: Any, found: Identified, rubbing: Sequence[str] = ()) -> Any:
+    """The graph with the identified numbers and their intervals; `rubbing` are the terms of `stribeck_friction`."""
     unknowns = found.fit.unknowns
-    named = _numbers(Plant.of(unknowns, found.fit.theta))
+    named = _numbers(Plant.of(unknowns, found.fit.theta), rubbing)
     for label, value in named.items():
         block, _, name = label.partition(".")
         data["blocks"][block][name] = plain(value)
-    drawn = [_numbers(Plant.of(unknowns, theta)) for theta in thetas(found, DRAWS).T]
+    drawn = [_numbers(Plant.of(unknowns, theta), rubbing) for theta in thetas(found, DRAWS).T]
     for label, value in named.items():
         spread = 2 * np.std([numbers[label] for numbers in drawn], axis=0)
         if label == "arm.rotor":
@@ -200,7 +201,9 @@ def _yaml(data: Any) -> str:
     return stream.getvalue()
 
 
-def _numbers(plant: Plant) -> dict[str, Array]:
+def _numbers(plant: Plant, rubbing: Sequence[str]) -> dict[str, Array]:
     """Servo gains, friction and rotors by their labels in the graph."""
     arm = {"viscous": plant.viscous, "coulomb": plant.coulomb, "rotor": plant.rotors}
-    return {f"servo.{key}": own for key, own in plant.servo.items()} | {f"arm.{key}": own for key, own in arm.items()}
+    terms = {"sticking": plant.sticking, "per_torque": plant.per_torque}
+    found = {f"servo.{key}": own for key, own in plant.servo.items()} | {f"arm.{key}": own for key, own in arm.items()}
+    return found | {f"rubbing.{name}": terms[name] for name in rubbing}

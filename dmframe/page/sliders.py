@@ -13,7 +13,7 @@ from dmframe.block.port import Side
 from dmframe.block.prose import about
 from dmframe.block.symmetric import lower_triangle
 from dmframe.certify import Verdict
-from dmframe.certify.parameter_margins import claims_alike
+from dmframe.certify.parameter_margins import same_claims
 from dmframe.common.errors import DmframeError
 from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
@@ -205,4 +205,4 @@ def _free(diagram: Diagram, parameter: Parameter, verdict: Verdict) -> bool:
     pairs = zip(changed.loop.parameters, diagram.loop.parameters, strict=True)
     moved = [new.label for new, old in pairs if not np.array_equal(new.value, old.value)]
     claim = verdict.flow_claim
-    return moved == [parameter.label] and (claim is None or claims_alike(claim, changed, block))
+    return moved == [parameter.label] and (claim is None or same_claims(claim, changed, block))

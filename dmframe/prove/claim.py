@@ -1,8 +1,8 @@
-r"""A claim as data: symbols, one straight-line program, and the terms and rules that its outputs are parts of.
+r"""A claim as data: symbols, a straight-line program, and the terms and rules that refer to its outputs.
 
 V is half the sum of the stored terms, weighted with 1 or kappa. D is d/dt along :math:`\dot x = f(x, t)`, or the
-difference over a sample, :math:`x \leftarrow g(x)`. The program gives f or g, by the label of what moves. No output is
-a derivative or a difference of V: the checker forms them (`dmframe.prove.point`).
+difference over a sample, :math:`x \leftarrow g(x)`. The program contains f or g, by the label of the moving symbol. It
+contains no derivative and no difference of V: the checker computes them (`dmframe.prove.point`).
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class Term:
     Parameters
     ----------
     name
-        As it is printed.
+        Printed name.
     rule
-        What makes it non-negative or bounded: ``square``, whose value the checker forms from ``vector`` and ``weight``;
-        every other rule has its ``value`` among its parts.
+        Reason why it is nonnegative or bounded. For ``square`` the checker computes the value from ``vector`` and
+        ``weight``; every other rule has its ``value`` among its parts.
     parts
-        The outputs that it is made of.
+        Outputs from which it is computed.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Term:
 @final
 @dataclass(frozen=True)
 class Steps(Rule):
-    """Steps of an estimate from sample to sample, with the outputs that their rule reads."""
+    """Update of an estimate from sample to sample, with the outputs that its rule uses."""
 
     parts: Mapping[str, Out]
 
@@ -66,7 +66,7 @@ class Steps(Rule):
 @final
 @dataclass(frozen=True)
 class Line:
-    """A delay line: the newest entry, the state, and, where it is not stored at each sample, when it is."""
+    """A delay line: its newest entry, its state, and the condition for storing an entry; None: at each sample."""
 
     state: str
     newest: Out
@@ -76,8 +76,8 @@ class Line:
 
 @final
 @dataclass(frozen=True)
-class Relation:
-    """An identity of the plant between two samples: d/dt momentum + rest = 0."""
+class PlantIdentity:
+    """Identity of the plant between two samples: d/dt momentum + rest = 0."""
 
     momentum: Out
     rest: Out
@@ -86,11 +86,11 @@ class Relation:
 @final
 @dataclass(frozen=True)
 class Part:
-    """What one block contributes.
+    """Contribution of one block.
 
-    `weight` is ``kappa`` on the servo level below a cascade, empty for the weight 1. `lemma` holds the terms of the
+    `weight` is ``kappa`` on the servo level below a cascade, empty for the weight 1. `lemma` contains the terms of the
     projection lemma. `memories` are pairs of an information matrix and its stated rate, `symmetric` the matrices that
-    must be symmetric, `solved` what an output makes zero.
+    must be symmetric, `solved` the expressions that an output makes zero.
     """
 
     block: str
@@ -106,17 +106,17 @@ class Part:
     symmetric: tuple[tuple[str, Out], ...] = ()
     steps: tuple[Steps, ...] = ()
     lines: tuple[Line, ...] = ()
-    plant: tuple[Relation, ...] = ()
+    plant: tuple[PlantIdentity, ...] = ()
     solved: tuple[Out, ...] = ()
 
     @property
     def stores(self) -> bool:
-        """True where V has a term of this block."""
+        """True if V has a term of this block."""
         return bool(self.stored or self.steps)
 
     @property
     def states_its_change(self) -> bool:
-        """True where the block states D of its terms: also of none, which then loses and gains nothing."""
+        """True if the block states D of its terms; without terms, D is zero."""
         return bool(self.stores or self.dissipation or self.residual)
 
 
@@ -128,24 +128,24 @@ class Claim:
     Parameters
     ----------
     symbols
-        What the claim is quantified over.
+        Quantified symbols.
     gains
-        Labels of the parameters whose values in what moves the states are inputs of their own, after the symbols: a
-        fault changes them there alone.
+        Labels of the parameters that have copies, inputs after the symbols, for the rates and next values: a fault
+            changes the copies only.
     program
         All expressions, with the symbols and these copies as inputs.
     operator
         ``flow`` or ``sample``.
     moves
-        Rates, or next values, by the label of the symbol that moves.
+        Rates, or next values, by the label of the moving symbol.
     plant_moves
-        Over samples: rates of what the plant moves between two samples, its commands free.
+        In discrete time: rates of the plant between two samples, for free commands.
     reversed
-        States of the controller that V or a delay line holds: a fault reverses their moves.
+        Controller states that V or a delay line contains: a fault reverses their rates or increments.
     stored_states
-        Over samples: labels of the sampled states that stored terms hold.
+        In discrete time: labels of the sampled states that stored terms contain.
     composed
-        Cross terms: the block that dominates, the one that consumes, what the first composes, and what the second has.
+        Cross terms: the dominating block, the consuming block, the composed vector and the required vector.
     """
 
     symbols: tuple[Symbol, ...]
@@ -161,12 +161,12 @@ class Claim:
 
     @property
     def over_samples(self) -> bool:
-        """True where D is the difference over a sample."""
+        """True if D is the difference over a sample."""
         return self.operator == "sample"
 
     @property
     def D(self) -> str:
-        """How D V is printed."""
+        """Printed symbol of D V."""
         return "V(next) - V" if self.over_samples else "dV/dt"
 
     @cached_property
@@ -176,7 +176,7 @@ class Claim:
 
     @cached_property
     def shared(self) -> Claim:
-        """The same claim, its program with each value once; error bounds are those of the program as it is."""
+        """The same claim with common subexpressions merged; error bounds are those of the original program."""
         return replace(self, program=shared(self.program))
 
     @cached_property
@@ -191,49 +191,49 @@ class Claim:
 
     @cached_property
     def copies(self) -> Mapping[str, int]:
-        """Positions of the gains' copies."""
+        """Positions of the copies of the gains."""
         return {label: len(self.symbols) + place for place, label in enumerate(self.gains)}
 
     @cached_property
     def differentiated(self) -> tuple[Out, ...]:
-        """The outputs of which V is made, and information matrices."""
+        """Outputs that V is computed from, and information matrices."""
         parts = [out for part in self.parts for term in part.stored for out in made_of(term)]
         return tuple(dict.fromkeys([*parts, *(matrix for part in self.parts for _, matrix, _ in part.memories)]))
 
     @cached_property
     def flow(self) -> Tangents:
-        """The derivatives of what V is made of."""
+        """Derivatives of the outputs that V is computed from."""
         return self._tangents(self.differentiated, self.moves)
 
     @cached_property
     def momenta(self) -> tuple[Out, ...]:
-        """What the plant's identities differentiate."""
+        """Momenta that the plant identities differentiate."""
         return tuple(relation.momentum for part in self.parts for relation in part.plant)
 
     @cached_property
     def plant_flow(self) -> Tangents:
-        """The derivatives of these."""
+        """Derivatives of the momenta."""
         return self._tangents(self.momenta, self.plant_moves)
 
     @cached_property
     def moved(self) -> Mapping[str, Out]:
-        """The moves of which the identity speaks: over samples, of what V holds, of memories and of delay lines."""
+        """Moves that the identity contains; in discrete time, of the states in V, of memories and of delay lines."""
         if not self.over_samples:
             return self.moves
         names = [f"{part.block}.{name}" for part in self.parts for s in part.steps for name in (s.estimate, s.memory)]
         names += [f"{part.block}.{line.state}" for part in self.parts for line in part.lines]
-        held = {*names, *self.stored_states}
-        return {label: out for label, out in self.moves.items() if label in held}
+        contained = {*names, *self.stored_states}
+        return {label: out for label, out in self.moves.items() if label in contained}
 
     @cached_property
     def places(self) -> tuple[int, ...]:
-        """The instructions that the identity needs."""
-        left = {self.moves[label] for label in self.moves if label not in self.moved}
-        return needed(self.tape, [position for out, position in self.outputs.items() if out not in left])
+        """Instructions that the identity depends on."""
+        unused = {self.moves[label] for label in self.moves if label not in self.moved}
+        return needed(self.tape, [position for out, position in self.outputs.items() if out not in unused])
 
     @cached_property
     def later(self) -> tuple[int, ...]:
-        """The instructions of what V is made of that depend on what moves."""
+        """Instructions of V that depend on moving symbols."""
         moving = [self.inputs[label] for label in self.moved]
         return between(self.tape, moving, [self.outputs[out] for out in self.differentiated])
 
@@ -242,5 +242,5 @@ class Claim:
 
 
 def made_of(term: Term) -> tuple[Out, ...]:
-    """The outputs that a term's value is formed of."""
+    """Outputs from which the value of a term is computed."""
     return (term.parts["vector"], term.parts["weight"]) if term.rule == "square" else (term.parts["value"],)

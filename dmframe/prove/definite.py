@@ -1,4 +1,4 @@
-"""Symmetric matrices of numbers or intervals: positive definite or semidefinite, decided in rational arithmetic."""
+"""Definiteness and semidefiniteness of symmetric matrices of numbers or intervals, in rational arithmetic."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Number = Fraction | Interval
 
 
 def pivots(matrix: Sequence[Sequence[Number]]) -> list[Fraction]:
-    """The diagonal of LDL', exactly, up to the first pivot that is not positive; of an interval, its lower end."""
+    """Exact diagonal of LDL' up to the first pivot that is not positive; of an interval, its lower end."""
     if not any(isinstance(value, Interval) for row in matrix for value in row):
-        return _whole_pivots(matrix)
+        return _integer_pivots(matrix)
     rows = [[Interval.of(value) for value in row] for row in matrix]
     found = list[Fraction]()
     for j in range(len(rows)):
@@ -29,11 +29,11 @@ def pivots(matrix: Sequence[Sequence[Number]]) -> list[Fraction]:
     return found
 
 
-def _whole_pivots(matrix: Sequence[Sequence[Any]]) -> list[Fraction]:
-    """The same of rational numbers, in whole ones: each row is a multiple of what it stands for.
+def _integer_pivots(matrix: Sequence[Sequence[Any]]) -> list[Fraction]:
+    """Pivots of a rational matrix by integer arithmetic: each row is a multiple of the true row.
 
-    What a row has in common is divided out, so that numbers stay as short as Fractions would be, at a tenth of the
-    time; a row that the pivot's column does not join is left as it is.
+    Common factors of a row are divided out, so that the integers stay as short as those of Fractions, at a tenth of the
+    time. A row with a zero in the pivot column is not changed.
     """
     scales = [Fraction(lcm(*(Fraction(value).denominator for value in row))) for row in matrix]
     rows = [[int(value * scale) for value in row] for row, scale in zip(matrix, scales, strict=True)]
@@ -55,17 +55,17 @@ def _whole_pivots(matrix: Sequence[Sequence[Any]]) -> list[Fraction]:
 
 
 def lower(value: Number) -> Fraction:
-    """The least that a number can be."""
+    """Lower bound of a number."""
     return value.lower if isinstance(value, Interval) else value
 
 
 def upper(value: Number) -> Fraction:
-    """The most that a number can be."""
+    """Upper bound of a number."""
     return value.upper if isinstance(value, Interval) else value
 
 
 def is_semidefinite(matrix: Sequence[Sequence[Fraction]]) -> bool:
-    """True where no direction makes the form of a symmetric matrix negative, decided exactly."""
+    """True if the quadratic form of a symmetric matrix is nonnegative in every direction, decided exactly."""
     rows = [list(row) for row in matrix]
     while rows:
         pivot, across = rows[0][0], rows[0][1:]

@@ -1,10 +1,10 @@
-"""A claim as JSON, and back: what is written is the object that was checked.
+"""A claim as JSON, and back: the written object is the checked one.
 
     {"version": 1, "symbols": [...], "gains": [...], "operator": "flow", "moves": {...}, "parts": [...], ...,
      "program": {"inputs": [[name, rows, size]], "outputs": [[name, rows, size, places, nodes]],
                  "nodes": [["add", 3, 4], ["input", 0, 2], ["const", "1/10"], ...]}}
 
-Numbers are exact: decimals as they were written, as fractions.
+Numbers are exact fractions: a decimal is written as the fraction it represents.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from dmframe.exact.literal import exact
 from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS, Node, Pattern, Program
 from dmframe.prove.claim import Claim
 from dmframe.prove.signs import Numbers
-from dmframe.prove.sound import hold_sound
+from dmframe.prove.sound import require_sound
 
 VERSION: Final = 1
 
 NUMBER: Final = re.compile(r"-?[0-9]{1,4000}(/[0-9]{1,4000})?")
-"""An exact number; an exponent would write one of any size in a few characters."""
+"""An exact number; exponents are excluded, since a few characters could then represent a huge number."""
 
 
 def digest(claim: Claim) -> str:
-    """A hash of all that a claim holds."""
+    """Hash of the complete claim."""
     return sha256(to_json(claim).encode()).hexdigest()
 
 
 def to_json(claim: Claim, numbers: Numbers | None = None) -> str:
-    """A claim as JSON, with sorted keys and no spaces; with numbers of its parameters, at which signs are decided."""
+    """A claim as compact JSON with sorted keys, and the parameter values at which signs are decided."""
     own = {item.name: _plain(getattr(claim, item.name)) for item in fields(claim) if item.name != "program"}
     if numbers is not None:
         own["numbers"] = {label: [str(value) for value in values] for label, values in numbers.items()}
@@ -48,7 +48,7 @@ def to_json(claim: Claim, numbers: Numbers | None = None) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, fractions as texts, data classes as their fields."""
+    """Tuples as lists, fractions as strings, data classes as their fields."""
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, Fraction):
@@ -84,14 +84,14 @@ def _nodes(nodes: Sequence[Node]) -> Iterator[list[Any]]:
 
 
 def from_json(text: str) -> Claim:
-    """The claim that a file holds; raises `ValueFault` for another version and for what is no claim (`hold_sound`)."""
+    """Read a claim; raises `ValueFault` for another version and for an invalid claim (`require_sound`)."""
     return read_file(text)[0]
 
 
 def read_file(text: str) -> tuple[Claim, Numbers]:
-    """The claim of a file, and the numbers of its parameters; raises as `from_json`, and for numbers of nothing."""
+    """Read a claim and the values of its parameters; raises like `from_json`, and for values of unknown parameters."""
     try:
-        found = json.loads(text, object_pairs_hook=_once)
+        found = json.loads(text, object_pairs_hook=_unique_keys)
         if not isinstance(found, dict) or found["version"] is True or found["version"] != VERSION:
             given = found["version"] if isinstance(found, dict) else found
             raise ValueFault(f"a claim: expected version {VERSION}, found {given!r:.60}")
@@ -100,29 +100,31 @@ def read_file(text: str) -> tuple[Claim, Numbers]:
         claim: Claim = _read(Claim, found)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError, RecursionError) as error:
         text = f"found {type(error).__name__}: {error}"
-        raise ValueFault(f"a claim: expected what `to_json` writes, {text:.300}") from None
-    hold_sound(claim)
+        raise ValueFault(f"a claim: expected the format of `to_json`, {text:.300}") from None
+    require_sound(claim)
     sizes = {symbol.label: symbol.size for symbol in claim.symbols if symbol.kind == "parameter"}
     for label, values in numbers.items():
         if sizes.get(label) != len(values):
-            raise ValueFault(f"a claim: expected numbers of its parameters, each of its size, found {label}")
+            raise ValueFault(
+                f"a claim: expected numbers of its parameters, with as many values as elements, found {label}"
+            )
     return claim, numbers
 
 
-def _once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
-        raise ValueError(f"a key twice among {sorted(key for key, _ in pairs)}")
+        raise ValueError(f"a repeated key among {sorted(key for key, _ in pairs)}")
     return found
 
 
 def _with(kind: type, item: Any) -> dict[str, Any]:
-    """An object of JSON with the fields of a data class, and no others."""
-    wanted = {each.name for each in fields(kind)}
+    """A JSON object with exactly the fields of a data class."""
+    expected = {each.name for each in fields(kind)}
     if not isinstance(item, dict):
         raise TypeError(f"expected a {kind.__name__}, found {item!r:.60}")
-    if strange := sorted(item.keys() ^ wanted):
-        raise ValueError(f"{', '.join(strange)}: missing from a {kind.__name__}, or no part of one")
+    if wrong := sorted(item.keys() ^ expected):
+        raise ValueError(f"{', '.join(wrong)}: missing or unknown key of a {kind.__name__}")
     return item
 
 
@@ -132,9 +134,9 @@ def _text(item: Any) -> str:
     return item
 
 
-def _whole(item: Any) -> int:
+def _integer(item: Any) -> int:
     if type(item) is not int or item < 0:
-        raise ValueError(f"expected a whole number, not negative, found {item!r:.60}")
+        raise ValueError(f"expected a whole number, at least 0, found {item!r:.60}")
     return item
 
 
@@ -151,7 +153,7 @@ def _list(item: Any, read: Callable[[Any], Any]) -> tuple[Any, ...]:
 
 
 def _read(kind: Any, item: Any) -> Any:
-    """What JSON holds as a value of an annotated type; raises `TypeError` or `ValueError` for anything else."""
+    """Value of an annotated type from JSON; raises `TypeError` or `ValueError` for any other content."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind in _SCALARS:
         return _SCALARS[kind](item)
@@ -183,8 +185,8 @@ def _program(item: Any) -> Program:
     nodes = [_node(place, node, inputs) for place, node in enumerate(_list(item["nodes"], list))]
     outputs, sources = list[Pattern](), list[Sequence[int]]()
     for name, rows, size, given, places in _list(item["outputs"], list):
-        own = _list(places, _whole)
-        outputs.append(Pattern(_text(name), _whole(rows), _whole(size), _list(given, _whole)))
+        own = _list(places, _integer)
+        outputs.append(Pattern(_text(name), _integer(rows), _integer(size), _list(given, _integer)))
         sources.append(own)
         if len(outputs[-1].places) != len(own) or not all(k < len(nodes) for k in own) or size % max(rows, 1):
             raise ValueError(f"the output {name}")
@@ -193,7 +195,7 @@ def _program(item: Any) -> Program:
 
 def _input(item: Any) -> Pattern:
     name, rows, size = _list(item, lambda each: each)
-    return Pattern(_text(name), _whole(rows), _whole(size), range(size))
+    return Pattern(_text(name), _integer(rows), _integer(size), range(size))
 
 
 def _node(place: int, node: Sequence[Any], inputs: Sequence[Pattern]) -> Node:
@@ -201,7 +203,7 @@ def _node(place: int, node: Sequence[Any], inputs: Sequence[Pattern]) -> Node:
     if name == "const":
         (number,) = given
         return Node(CONST, 0, 0, _number(number), place)  # type: ignore[arg-type]  # `exact` keeps a fraction
-    a, b = _whole(given[0]), _whole(given[-1])
+    a, b = _integer(given[0]), _integer(given[-1])
     if name == "input":
         if len(given) != 2 or b >= inputs[a].size:
             raise ValueError(f"element {b} of the input {inputs[a].name}, which has {inputs[a].size}")
@@ -220,7 +222,7 @@ def _flag(item: Any) -> bool:
 
 _SCALARS: Final[Mapping[Any, Callable[[Any], Any]]] = {
     str: _text,
-    int: _whole,
+    int: _integer,
     bool: _flag,
     Fraction: _number,
     Program: _program,

@@ -1,4 +1,4 @@
-"""The exact test of a claim: all that it says to be zero vanishes at random points of random prime fields."""
+"""The exact test of a claim: each equality vanishes at random points of random prime fields."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from dmframe.prove.claim import Claim, Symbol
 from dmframe.prove.point import Equality, Point, differences, equalities
 
 ATTEMPTS: Final = 20
-"""Random points tried until no denominator vanishes."""
+"""Maximum number of random points tried until no denominator vanishes."""
 
 MOST_LOG2_ERROR: Final = -64
-"""Largest log2 of the error bound of one point with which an identity is called decided."""
+"""Largest log2 of the error bound of one point for which an identity counts as decided."""
 
 BITS: Final = 149
-"""Of the random primes: five digits of Python's integers hold them, as they hold 127 bits, at the same speed."""
+"""Bits of the random primes; like 127 bits they need five digits of Python's integers, so the speed is the same."""
 
 MORE_BITS: Final = (269, 521)
-"""Of the primes for claims whose degree is too high for `BITS`, such as steps of least squares with many columns."""
+"""Bits of the primes for claims whose degree is too high for `BITS`, such as least squares with many columns."""
 
 
 def residues(trial: Trial, symbol: Symbol, values: Mapping[str, Sequence[Fraction]] | None = None) -> list[int]:
-    """A symbol's residues: its exact values, those given by label, or random ones."""
+    """Residues of a symbol: its exact values, the values given by label, or random ones."""
     known = (values or {}).get(symbol.label, symbol.values)
     if known is None:
         return [trial.random() for _ in range(symbol.size)]
@@ -39,7 +39,7 @@ def residues(trial: Trial, symbol: Symbol, values: Mapping[str, Sequence[Fractio
 
 
 def inputs_at(claim: Claim, trial: Trial, values: Mapping[str, Sequence[Fraction]] | None = None) -> list[list[int]]:
-    """Numbers of all inputs, the gains' copies as the gains."""
+    """Residues of all inputs; the copies of gains equal the gains."""
     own = {symbol.label: residues(trial, symbol, values) for symbol in claim.symbols}
     return [*own.values(), *(own[label] for label in claim.gains)]
 
@@ -47,14 +47,14 @@ def inputs_at(claim: Claim, trial: Trial, values: Mapping[str, Sequence[Fraction
 def over_signs(
     claim: Claim, inputs: Sequence[Sequence[int]], trial: Trial, only: str = ""
 ) -> Iterator[list[tuple[Equality, list[int]]]]:
-    """Each equality, or that with one label, with what is left of it, for every choice of signs.
+    """Each equality, or the one with a given label, and its sums, for every choice of signs.
 
-    Only so is a trial's chance to miss as small as the bound says. Where a sign is 0, its argument is, and |x| may be
-    read as 0 or as x: an element that vanishes in one of these readings is given as zero.
+    The error bound of a trial requires all choices. Where a sign is 0, its argument is 0, and |x| can be evaluated as 0
+    or as x: an element that vanishes in one of these evaluations is returned as zero.
     """
     evaluation, known = Evaluation(claim.tape, inputs, trial, (), claim.places), dict[Any, Any]()
 
-    def left() -> list[tuple[Equality, list[int]]]:
+    def sums() -> list[tuple[Equality, list[int]]]:
         point = Point(claim, trial, inputs, evaluation.values, known)
         return [
             (equality, [x % trial.prime for x in equality.sums])
@@ -62,13 +62,13 @@ def over_signs(
             if only in ("", equality.label)
         ]
 
-    found = left()
+    found = sums()
     while True:
         if trial.on_a_jump and any(any(values) for _, values in found):
-            trial.zero_is_its_own_size = True
-            evaluation.sign_anew()
-            others = left()
-            trial.zero_is_its_own_size = False
+            trial.fabs_is_argument_at_zero = True
+            evaluation.recompute_signs()
+            others = sums()
+            trial.fabs_is_argument_at_zero = False
             found = [
                 (equality, [a and b and a for a, b in zip(one, other, strict=True)])
                 for (equality, one), (_, other) in zip(found, others, strict=True)
@@ -76,12 +76,12 @@ def over_signs(
         yield found
         if not trial.next_signs():
             return
-        evaluation.sign_anew()
-        found = left()
+        evaluation.recompute_signs()
+        found = sums()
 
 
 def bound_of(claim: Claim) -> Bound:
-    """What the probability of a wrong answer depends on."""
+    """Quantities that determine the probability of a wrong result."""
     ring = Sizes()
     fixed = {place: symbol.values for place, symbol in enumerate(claim.symbols) if symbol.values is not None}
     inputs = ring.inputs(claim.tape, fixed)
@@ -95,12 +95,12 @@ def bound_of(claim: Claim) -> Bound:
 @final
 @dataclass(frozen=True)
 class Points:
-    """The random points of `identity`, of which none depends on another.
+    """Independent random points of `identity`.
 
     Parameters
     ----------
     bits
-        Of the primes.
+        Bits of the primes.
     error
         log2 of the error bound of one point.
     """
@@ -113,36 +113,36 @@ class Points:
 
     @classmethod
     def of(cls, claim: Claim, *, seed: int) -> Points:
-        """Raises `ValueFault` where the error bound of one point exceeds 2**`MOST_LOG2_ERROR`."""
+        """The points of a claim. Raises `ValueFault` if the error bound of one exceeds 2**`MOST_LOG2_ERROR`."""
         bound = bound_of(claim)
         bits = next((bits for bits in (BITS, *MORE_BITS) if log2_error(bound, 0, bits, False) <= MOST_LOG2_ERROR), BITS)
         error = log2_error(bound, 0, bits, False)
         if error > MOST_LOG2_ERROR:
             raise ValueFault(
-                f"the exact test: a point would miss what does not vanish with a probability of up to 2^{error:.0f}; "
-                f"expected at most 2^{MOST_LOG2_ERROR}: the degree of what is claimed is too high"
+                f"the exact test: at one point a false identity may pass with a probability of up to 2^{error:.0f}; "
+                f"expected at most 2^{MOST_LOG2_ERROR}: the degree of the claim is too high"
             )
         return cls(claim, seed, bits, error, bound.degree_total)
 
     def at(self, place: int) -> ZeroTest:
-        """The test at one point. Raises `ValueFault` where what is claimed is nowhere defined."""
+        """The test at one point. Raises `ValueFault` if the claim is undefined at every random point."""
         prime, witness = _trial(self.claim.shared, random.Random(f"{self.seed}:{place}"), self.bits)
         error = self.error if witness is None else -math.inf
         return ZeroTest(witness is None, 1, (prime,), self.degree, error, witness, self.seed)
 
 
 def identity(claim: Claim, *, trials: int, seed: int) -> ZeroTest:
-    """Decide whether everything vanishes that the claim says to be zero; see `dmframe.exact.zero_test`.
+    """Decide whether every equality of a claim vanishes identically; see `dmframe.exact.zero_test`.
 
-    Raises `ValueFault` where it is nowhere defined, such as with a Jacobian that never has full rank, and where the
-    error bound of one point exceeds 2**`MOST_LOG2_ERROR`.
+    Raises `ValueFault` if the claim is undefined everywhere, for example with a Jacobian that never has full rank, and
+    if the error bound of one point exceeds 2**`MOST_LOG2_ERROR`.
     """
     points = Points.of(claim, seed=seed)
-    return together(map(points.at, range(trials)))
+    return combined(map(points.at, range(trials)))
 
 
-def together(tests: Iterable[ZeroTest]) -> ZeroTest:
-    """One test of the points of several, up to the first that something does not vanish at."""
+def combined(tests: Iterable[ZeroTest]) -> ZeroTest:
+    """Combine tests of single points into one, up to the first point with a nonzero element."""
     done = list[ZeroTest]()
     for test in tests:
         done.append(test)
@@ -159,8 +159,8 @@ def _trial(claim: Claim, rng: random.Random, bits: int) -> tuple[int, Witness | 
         try:
             inputs = inputs_at(claim, trial)
             for found in over_signs(claim, inputs, trial):
-                for equality, left in found:
-                    for row, residue in enumerate(left):
+                for equality, sums in found:
+                    for row, residue in enumerate(sums):
                         if residue:
                             point = tuple((s.label, tuple(v)) for s, v in zip(claim.symbols, inputs, strict=False))
                             return trial.prime, Witness(trial.prime, equality.label, row, 0, residue, point)
@@ -174,7 +174,7 @@ def _trial(claim: Claim, rng: random.Random, bits: int) -> tuple[int, Witness | 
 
 
 def empty(claim: Claim, seed: int) -> list[str]:
-    """What is identically zero: V, D V, or the vector of a term, so that nothing would be proved of it."""
+    """Identically zero quantities: V, D V, or the vector of a term; a proof about them would be empty."""
     rng, claim = random.Random(seed + 3), claim.shared
     for _ in range(ATTEMPTS):
         trial = Trial(random_prime(rng, BITS), rng)
@@ -202,18 +202,18 @@ def _of_a_flow(point: Point) -> Iterator[tuple[str, list[int]]]:
 
 def _of_samples(point: Point) -> Iterator[tuple[str, list[int]]]:
     claim, moves = point.claim, point.moves(point.claim.moved)
-    own = {equality.block: equality for equality in equalities(point, moves) if equality.says == claim.D}
+    own = {equality.block: equality for equality in equalities(point, moves) if equality.statement == claim.D}
     for part in claim.parts:
         block = part.block
         if part.stores:
-            named = [s for s in own[block].summands if "what V" not in s.name]
+            named = [s for s in own[block].summands if not s.name.endswith(" of V dropped")]
             yield f"{block}: {claim.D}", [sum(sum(s.column) for s in named)]
-        for role, terms in (("V", part.stored), ("what V loses", part.dissipation)):
+        for role, terms in (("V", part.stored), ("the decrease of V", part.dissipation)):
             yield from ((f"{block}: term {k} of {role}", [point.value(term)]) for k, term in enumerate(terms, start=1))
         for steps in part.steps:
             rows = [x for k in range(steps.rows) for x in point.out(steps.parts[f"h{k}"])]
-            yield f"{block}: the rows of {steps.estimate}", rows
+            yield f"{block}: regressor rows of {steps.estimate}", rows
         for line in part.lines:
             if line.when is not None:
-                yield f"{block}: when {line.state} is stored", point.out(line.when)
-        yield from ((f"{block}: the rest of a relation", point.out(relation.rest)) for relation in part.plant)
+                yield f"{block}: storage condition of {line.state}", point.out(line.when)
+        yield from ((f"{block}: remainder of a plant identity", point.out(relation.rest)) for relation in part.plant)

@@ -1,7 +1,7 @@
-"""A claim at one point: its outputs, derivatives and differences, and all that it says to be zero.
+"""A claim at one point: its outputs, derivatives and differences, and the equalities that must vanish.
 
-The point is of any ring: residues of a prime field for the exact test, sizes for its error bound, reals for a second
-look. A fault changes what moves the states; what the certificates state keeps its values.
+The point can be of any ring: residues of a prime field for the exact test, sizes for its error bound, reals for the
+numeric cross-check. A fault changes the rates or next values; the stated terms of the certificates keep their values.
 """
 
 from __future__ import annotations
@@ -14,30 +14,30 @@ from dmframe.common.text import UNNAMED, Text, sentence, text_of
 from dmframe.exact import Tape, Trial
 from dmframe.exact.ring import compute
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term, made_of
-from dmframe.prove.rules import Moved, Own, Taken, form, pushed, taken
+from dmframe.prove.rules import OutputData, OutputResult, StepResult, form, shifted, step_result
 
 Numbers = Sequence[Any]
-Known = dict[tuple[str, int], dict[int, tuple[Own, Moved]]]
+Known = dict[tuple[str, int], dict[int, tuple[OutputData, OutputResult]]]
 
 
 class Summand(NamedTuple):
-    """A column that an equality adds, and what it is called where a fault drops it."""
+    """A column of an equality, and the name of the fault that drops it."""
 
     name: Text
     column: list[Any]
 
 
 class Equality(NamedTuple):
-    """Columns whose sum must vanish, and the block that claims it; none for D V of the diagram."""
+    """Columns whose sum must vanish, and the block that states it; empty for D V of the diagram."""
 
     block: str
-    says: str
+    statement: str
     summands: list[Summand]
 
     @property
     def label(self) -> str:
-        """Block and what is claimed."""
-        return f"{self.block}: {self.says}" if self.block else self.says
+        """Block and statement."""
+        return f"{self.block}: {self.statement}" if self.block else self.statement
 
     @property
     def sums(self) -> list[Any]:
@@ -52,13 +52,13 @@ class Point:
     Parameters
     ----------
     ring
-        Of the numbers.
+        Ring of the numbers.
     inputs
-        Those of all symbols and of the gains' copies.
+        Values of all symbols and of the copies of gains.
     values
-        Those of all instructions.
+        Values of all instructions.
     known
-        What steps came to at other points, output by output, which is read again where it is the same; it is added to.
+        Results of update steps at other points, by output, which are used again for equal inputs; new ones are added.
     """
 
     def __init__(
@@ -72,11 +72,11 @@ class Point:
         return _dense(self.claim.tape, self._values, self.claim.outputs[name])
 
     def input(self, label: str) -> Numbers:
-        """A symbol."""
+        """Values of a symbol."""
         return self.inputs[self.claim.inputs[label]]
 
     def moves(self, outs: Mapping[str, Out], reverse: Collection[str] = ()) -> dict[str, list[Any]]:
-        """Rates or next values by label; a reversed rate has the other sign, a reversed move the other direction."""
+        """Rates or next values by label; a reversed rate changes sign, a reversed increment changes direction."""
         found = {label: self.out(out) for label, out in outs.items()}
         for label in reverse:
             before = self.input(label) if self.claim.over_samples else [0] * len(found[label])
@@ -84,7 +84,7 @@ class Point:
         return found
 
     def at(self, states: Mapping[str, Numbers]) -> Point:
-        """The point at which these states have other values, for the outputs of which V is made."""
+        """The point with other values of these states, for the outputs that V is computed from."""
         inputs, values = list(self.inputs), list(self._values)
         for label, numbers in states.items():
             inputs[self.claim.inputs[label]] = numbers
@@ -97,12 +97,12 @@ class Point:
         return Point(self.claim, self.ring, inputs, values)
 
     def derivatives(self, moves: Mapping[str, Numbers]) -> dict[Out, list[Any]]:
-        """Of what V is made of, along these rates."""
+        """Derivatives of the outputs that V is computed from, along these rates."""
         columns = self.claim.flow.along(self.ring, self._values, self._direction(moves))
         return dict(zip(self.claim.differentiated, columns, strict=True))
 
     def plant_derivatives(self) -> dict[Out, list[Any]]:
-        """Of what the plant's identities differentiate, along the plant's rates."""
+        """Derivatives of the plant's momenta along the plant's rates."""
         claim = self.claim
         direction = self._direction(self.moves(claim.plant_moves))
         return dict(zip(claim.momenta, claim.plant_flow.along(self.ring, self._values, direction), strict=True))
@@ -111,34 +111,34 @@ class Point:
         return {self.claim.inputs[label]: numbers for label, numbers in moves.items()}
 
     def value(self, term: Term) -> Any:
-        """A term."""
+        """Value of a term."""
         if term.rule == "square":
             vector, weight = (self.out(out) for out in made_of(term))
             return form(self.ring, vector, weight, vector)
         return self.out(term.parts["value"])[0]
 
     def weight(self, part: Part) -> Any:
-        """The weight of a part's storage in V."""
+        """Weight of a block's storage in V."""
         return self.input(part.weight)[0] if part.weight else 1
 
     @cached_property
-    def taken(self) -> Mapping[str, Sequence[Taken]]:
-        """What the steps of each block come to, in its order: two of them may move one estimate."""
+    def step_results(self) -> Mapping[str, Sequence[StepResult]]:
+        """Results of the update steps of each block, in order: two of them may update one estimate."""
         return {
-            part.block: [self._taken((part.block, place), steps) for place, steps in enumerate(part.steps)]
+            part.block: [self._step_result((part.block, place), steps) for place, steps in enumerate(part.steps)]
             for part in self.claim.parts
         }
 
-    def _taken(self, key: tuple[str, int], steps: Steps) -> Taken:
+    def _step_result(self, key: tuple[str, int], steps: Steps) -> StepResult:
         parts = {name: self.out(out) for name, out in steps.parts.items()}
-        return taken(self.ring, steps, parts, self._known.setdefault(key, {}))
+        return step_result(self.ring, steps, parts, self._known.setdefault(key, {}))
 
     def half(self, value: Any) -> Any:
         """Half of a number."""
         return self.ring.reduced(value * self.ring.inverse(self.ring.number(2)))
 
     def storage(self, part: Part) -> Any:
-        """S but for what steps store."""
+        """S without the storage of update steps."""
         return self.half(sum((self.value(term) for term in part.stored), 0))
 
 
@@ -163,10 +163,10 @@ def _rate(point: Point, term: Term, along: Mapping[Out, list[Any]]) -> Any:
 
 
 def equalities(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]:
-    """All that the claim says to be zero; D V of the diagram comes first.
+    """All equalities of the claim; D V of the diagram comes first.
 
-    The blocks' own claims are not needed for D V of the diagram, where the supplies cancel; but a block whose supply is
-    wrong could not be built upon.
+    D V of the diagram, in which the supply rates cancel, does not need the equalities of the blocks. They are checked
+    as well, so that a block with a wrong supply rate cannot be used in other graphs.
     """
     claim = point.claim
     own = [(part, list(_own(point, moves, part))) for part in claim.parts]
@@ -187,17 +187,17 @@ def equalities(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]
 
 
 def _own(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Summand]:
-    """D S + dissipation - residual - lemma - cross term of one block, by the faults that drop them."""
+    """D S + dissipation - residual - lemma - cross term of one block, with the names of the faults that drop them."""
     block, ring = part.block, point.ring
     for place, (term, found) in enumerate(zip(part.stored, differences(point, moves, part), strict=True), start=1):
         yield Summand(Text(f"{block}: storage of ", term.name or f"term {place}", " dropped"), found.column)
     if point.claim.over_samples:
-        steps = point.taken[block]
+        steps = point.step_results[block]
         yield Summand(UNNAMED, [ring.reduced(sum((item.moved for item in steps), 0))])
         lost = sum((point.value(term) for term in part.dissipation), 0) + sum((item.lost for item in steps), 0)
         gained = sum((point.value(term) for term in part.residual), 0) + sum((item.gained for item in steps), 0)
-        yield Summand(sentence("{block}: what {V} loses dropped", block=block), [lost])
-        yield Summand(sentence("{block}: what {V} gains dropped", block=block), [-gained])
+        yield Summand(sentence("{block}: decrease of {V} dropped", block=block), [lost])
+        yield Summand(sentence("{block}: increase of {V} dropped", block=block), [-gained])
         return
     for term in part.dissipation:
         yield Summand(Text(f"{block}: dissipation of ", term.name, " dropped"), [point.value(term)])
@@ -210,7 +210,7 @@ def _own(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Sum
 
 
 def _whole(point: Point, own: Sequence[tuple[Part, Sequence[Summand]]]) -> Equality:
-    """D V of the diagram: the parts' terms with their weights, without supplies."""
+    """D V of the diagram: the weighted terms of the blocks, without supply rates."""
     found = [
         Summand(name, [point.ring.reduced(point.weight(part) * x) for x in column])
         for part, summands in own
@@ -220,27 +220,27 @@ def _whole(point: Point, own: Sequence[tuple[Part, Sequence[Summand]]]) -> Equal
 
 
 def _of_a_sample(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Equality]:
-    """The moves of estimates and delay lines, the plant's identities, and what the block's output solves."""
+    """Updates of estimates and delay lines, the plant identities, and the equations that the block's output solves."""
     block = part.block
-    for steps in point.taken[block]:
+    for steps in point.step_results[block]:
         for name, stated in steps.moves.items():
-            yield _equal(block, f"what {name} becomes", moves[f"{block}.{name}"], stated)
+            yield _equal(block, f"next value of {name}", moves[f"{block}.{name}"], stated)
     for line in part.lines:
-        yield _equal(block, f"what {line.state} keeps", moves[f"{block}.{line.state}"], _kept(point, line))
+        yield _equal(block, f"next value of {line.state}", moves[f"{block}.{line.state}"], _shifted_line(point, line))
     if part.plant:
         along = point.plant_derivatives()
         for place, relation in enumerate(part.plant, start=1):
-            which = "its relation" if len(part.plant) == 1 else f"its relation {place}"
-            rest = Summand(Text(f"{block}: the rest of {which} dropped"), point.out(relation.rest))
-            yield Equality(block, "what the plant's motion obeys", [Summand(UNNAMED, along[relation.momentum]), rest])
-    for left in part.solved:
-        yield Equality(block, "the equation that its output solves", [Summand(UNNAMED, point.out(left))])
+            which = "its plant identity" if len(part.plant) == 1 else f"its plant identity {place}"
+            rest = Summand(Text(f"{block}: remainder of {which} dropped"), point.out(relation.rest))
+            yield Equality(block, "plant identity", [Summand(UNNAMED, along[relation.momentum]), rest])
+    for expression in part.solved:
+        yield Equality(block, "equation solved by its output", [Summand(UNNAMED, point.out(expression))])
 
 
-def _kept(point: Point, line: Line) -> list[Any]:
+def _shifted_line(point: Point, line: Line) -> list[Any]:
     when = None if line.when is None else point.out(line.when)[0]
     shapes = [_shape(point.claim, out) for out in (line.newest, line.before)]
-    return pushed(point.ring, point.out(line.newest), point.out(line.before), (shapes[0], shapes[1]), when)
+    return shifted(point.ring, point.out(line.newest), point.out(line.before), (shapes[0], shapes[1]), when)
 
 
 def _shape(claim: Claim, out: Out) -> tuple[int, int]:
@@ -248,19 +248,19 @@ def _shape(claim: Claim, out: Out) -> tuple[int, int]:
     return pattern.rows, pattern.size // pattern.rows
 
 
-def _equal(block: str, says: str, one: Numbers, other: Numbers) -> Equality:
-    return Equality(block, says, [Summand(UNNAMED, list(one)), Summand(UNNAMED, [-x for x in other])])
+def _equal(block: str, statement: str, one: Numbers, other: Numbers) -> Equality:
+    return Equality(block, statement, [Summand(UNNAMED, list(one)), Summand(UNNAMED, [-x for x in other])])
 
 
 def _memories(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]:
-    """Information matrices move as their terms state."""
+    """Rates of information matrices, as their terms state them."""
     for part in point.claim.parts:
         for name, matrix, rate in part.memories:
             yield _equal(part.block, f"dG/dt of {name}", point.derivatives(moves)[matrix], point.out(rate))
 
 
 def _symmetric(point: Point) -> Iterator[Equality]:
-    """Both matrices of a divergence are symmetric: it reads their lower triangles."""
+    """Symmetry of both matrices of a divergence, which uses their lower triangles only."""
     for part in point.claim.parts:
         for name, out in part.symmetric:
             matrix, (rows, _) = point.out(out), _shape(point.claim, out)

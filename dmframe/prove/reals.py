@@ -1,8 +1,8 @@
-"""A second look at a residual that does not vanish in the field: at real points, in ball arithmetic.
+"""Numeric cross-check of a residual that does not vanish in the field: evaluation at real points in ball arithmetic.
 
-The field knows no function but sin and cos, takes every sign for possible, and reads literals as exact numbers; so a
-residual that is not zero there can still be zero at every real point. A claim is called refuted only if the residual is
-proved to be other than zero at some real point, and by more than the rounding of literals can explain.
+A prime field has no functions except sin and cos, admits every choice of signs, and reads literals as exact numbers. A
+residual that is nonzero there may therefore be zero at every real point. A claim is called refuted only if the residual
+is proved to be nonzero at some real point, by more than the rounding of literals can explain.
 """
 
 from __future__ import annotations
@@ -23,52 +23,54 @@ from dmframe.prove.claim import Claim, Symbol
 from dmframe.prove.point import Point, equalities
 
 POINTS = 4
-"""Points of each kind at which a residual is looked at."""
+"""Number of points of each kind at which a residual is evaluated."""
 
 ZERO_POINTS = 16
-"""Points with some signals at zero: two given signals are a zero and a number at a quarter of them."""
+"""Number of points with some zero signals: at a quarter of them, two given signals are zero and nonzero."""
 
 TRIES = 100
-"""Points drawn to find one at which everything is defined."""
+"""Maximum number of points drawn to find one at which everything is defined."""
 
 VANISHED: Final = 1e-35
-"""A residual that is at most this, in proportion to its terms, is taken for zero."""
+"""Largest residual, relative to its terms, that counts as zero."""
 
 NUDGES = 6
-"""Times that the computed literals are moved within their rounding."""
+"""Number of times that the computed literals are perturbed within their rounding."""
 
 FOLDED = 16
-"""Operations on literals that may have been carried out, and rounded, while the equations were written."""
+"""Largest number of operations on literals that may have been carried out, and rounded, before an equation."""
 
 BY_A_FUNCTION = (
-    "not decided: {of} is what the blocks claim at every real point that was tried, to 35 digits, but only by a "
-    "property of a function (tanh, sqrt, sin of a sum) that the exact test does not know, or only away from where a "
-    "sign or a comparison switches"
+    "not decided: {of} equals what the blocks claim at every real point that was tried, to 35 digits. The equality may "
+    "depend on a property of a function (tanh, sqrt, sin of a sum) that the exact test does not use, or it may fail "
+    "where a sign or a comparison switches"
 )
 BY_ROUNDING = (
-    "not decided: {of} differs from what the blocks claim, but by no more than the rounding of numbers in the code "
-    "that were computed with before they came into an equation (0.1 + 0.2 is 0.30000000000000004); write 0.3, or make "
-    "them parameters"
+    "not decided: {of} differs from what the blocks claim, but by no more than the rounding of numbers that Python "
+    "combined before they entered an equation (0.1 + 0.2 is 0.30000000000000004); write 0.3, or make them parameters"
 )
 NOWHERE = (
-    f"not decided: what the blocks claim has a real value at none of {TRIES} random points; a root, power or logarithm "
-    "needs a region that was not found"
+    f"not decided: what the blocks claim is undefined at all of {TRIES} random real points; a root, power or logarithm "
+    "requires a region that was not found"
 )
 
 
 @precise()
-def doubt(claim: Claim, seed: int, of: Piece = DV) -> Text:
-    """Why a claim that fails in the field is not refuted yet; empty where a real point refutes it. `of` names it.
+def why_not_refuted(claim: Claim, seed: int, of: Piece = DV) -> Text:
+    """Reason why a claim that fails in the field is not refuted; empty if a real point refutes it.
 
-    Points are drawn of both signs, above zero (where roots and powers are real), and with some signals at zero (where
+    `of` is the name of the claim in the text.
+
+    Points have both signs, only positive values (for roots and powers), or some zero signals (for signs). A point at
+    which something is undefined is replaced by another one, and is not counted as a difference.
     signs are); one at which something is not defined is drawn again, and is no difference.
     """
-    look = _Look(claim, random.Random(seed))
+    points = _RealPoints(claim, random.Random(seed))
     reason = ""
-    for draw, count in ((look.any_sign, POINTS), (look.positive, POINTS), (look.some_zero, ZERO_POINTS)):
-        for point, residuals in look.defined(draw, count):
+    for draw, count in ((points.any_sign, POINTS), (points.positive, POINTS), (points.some_zero, ZERO_POINTS)):
+        for point, residuals in points.defined(draw, count):
             differs = not all(residual.is_zero() for residual in residuals)
-            if differs and not look.is_rounding(point, residuals):
+            if differs and not points.is_rounding(point, residuals):
                 return UNNAMED
             reason = BY_ROUNDING if differs else reason or BY_A_FUNCTION
     return sentence(reason or NOWHERE, of=of)
@@ -79,22 +81,22 @@ Numbers = list[list[arb]]
 
 @final
 class Balls:
-    """The ring of real balls; what is not defined on a whole ball is not a number, and so is all that needs it.
+    """The ring of real balls; an undefined operation gives NaN, and so does every value that depends on it.
 
-    One object holds one number, so that a number is equal to itself although its ball has a width: the point inside of
-    a box, compared with what the box makes of it.
+    One object represents one number, and is therefore equal to itself although its ball has a width, for example in a
+    comparison of a point in a box with its projection onto the box.
 
     Parameters
     ----------
     number
-        The ball of an exact number.
+        Ball of an exact number.
     """
 
     def __init__(self, number: Callable[[Fraction], arb] = ball) -> None:
         self._number = number
 
     def number(self, value: Fraction | int) -> arb:
-        """An exact number."""
+        """Ball of an exact number."""
         return self._number(Fraction(value))
 
     def reduced(self, value: arb) -> arb:
@@ -106,11 +108,11 @@ class Balls:
         return ONE / value
 
     def power(self, value: arb, exponent: int) -> arb:
-        """A whole power."""
+        """An integer power."""
         return value**exponent
 
     def call(self, name: str, *arguments: arb) -> arb:
-        """A function's value; the larger and the smaller of two numbers is one of the two objects."""
+        """Value of a function; the minimum or maximum of two numbers is one of the two objects."""
         operands = [each if isinstance(each, arb) else arb(each) for each in arguments]
         if name in _ORDERED and (chosen := _ORDERED[name](*operands)) is not None:
             return chosen
@@ -128,24 +130,24 @@ _OF_ITSELF: Final = {"eq": ONE, "le": ONE, "ne": ZERO, "lt": ZERO}
 
 
 @final
-class _Look:
+class _RealPoints:
     """Residuals and their scales at real points."""
 
     def __init__(self, claim: Claim, rng: random.Random) -> None:
         self._claim, self._rng = claim, rng
         self._has_computed = any(map(computed, claim.tape.numbers.values()))
 
-    def defined(self, draw: Callable[[Symbol], list[arb]], wanted: int) -> Iterator[tuple[Numbers, list[arb]]]:
-        """So many points, or fewer, at which everything has a value; with the residuals, zero where they vanish."""
+    def defined(self, draw: Callable[[Symbol], list[arb]], count: int) -> Iterator[tuple[Numbers, list[arb]]]:
+        """At most `count` points at which everything is defined, with the residuals; negligible residuals are zero."""
         for _ in range(TRIES):
             point = [self._drawn(group, draw) for group in self._claim.symbols]
             try:
-                found = self._left(self._elements(point))
+                found = self._residuals(self._elements(point))
             except UndecidedError:
                 continue
             yield point, found
-            wanted -= 1
-            if not wanted:
+            count -= 1
+            if not count:
                 return
 
     def _drawn(self, group: Symbol, draw: Callable[[Symbol], list[arb]]) -> list[arb]:
@@ -171,7 +173,7 @@ class _Look:
         return [ball(low + (high - low) * Fraction(step, 2**64)) for step in steps]
 
     def is_rounding(self, point: Numbers, residuals: Sequence[arb]) -> bool:
-        """True where no residual is larger than what it moves by when computed literals move within their rounding."""
+        """True if no residual exceeds its change when computed literals are perturbed within their rounding."""
         if not self._has_computed:
             return False
         own, spread = self._elements(point), [ZERO] * len(residuals)
@@ -184,25 +186,25 @@ class _Look:
         return all(abs(residual) <= FOLDED * reach for residual, reach in zip(residuals, spread, strict=True))
 
     def _nudged(self) -> Callable[[Fraction], arb]:
-        """Each computed literal moved by up to half a unit of its last place, the same one by the same amount."""
+        """Each computed literal perturbed by up to half a unit in the last place; equal literals by the same amount."""
         moves = dict[Fraction, float]()
 
         def moved(number: Fraction) -> arb:
             if not computed(number):
                 return ball(number)
-            share = moves.setdefault(number, self._rng.uniform(-1, 1))
-            return ball(number) * (1 + share * arb((1, -53)))
+            fraction = moves.setdefault(number, self._rng.uniform(-1, 1))
+            return ball(number) * (1 + fraction * arb((1, -53)))
 
         return moved
 
     @staticmethod
-    def _left(elements: Sequence[tuple[arb, arb]]) -> list[arb]:
-        """The residuals, those that vanish among their terms as zero. Raises `UndecidedError`."""
+    def _residuals(elements: Sequence[tuple[arb, arb]]) -> list[arb]:
+        """The residuals; those that are negligible compared with their terms are zero. Raises `UndecidedError`."""
         found = list[arb]()
         for residual, scale in elements:
             vanishes = abs(residual) <= VANISHED * scale
             if not vanishes and not abs(residual) > VANISHED * scale:
-                raise UndecidedError("a residual that is known too coarsely")
+                raise UndecidedError("the enclosure of a residual is too wide")
             found.append(ZERO if vanishes else residual)
         return found
 

@@ -1,6 +1,6 @@
-r"""What the checker forms itself from a term's parts: squares, steps of estimates, and delay lines.
+r"""Quantities that the checker computes from a term's parts: squares, update steps of estimates, and delay lines.
 
-All is written for numbers of any ring (`dmframe.exact.ring`): residues, sizes, reals. Matrices are column-major.
+Numbers can be of any ring (`dmframe.exact.ring`): residues, sizes, reals. Matrices are column-major.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ def dot(ring: Any, left: Column, right: Column) -> Any:
 
 @dataclass(frozen=True)
 class Rule:
-    """Kind and sizes of steps of an estimate, ``normalised`` or of ``least_squares``.
+    """Kind and sizes of the update steps of an estimate: ``normalised`` or ``least_squares``.
 
     Parameters
     ----------
     sizes
-        How many parameters each output of the estimator has.
+        Number of parameters of each output of the estimator.
     rows
-        How many pairs ``h0, y0, h1, y1 ...`` the parts hold besides ``theta, true, gain, floor``, ``lower, upper`` of a
-        box, and ``gathered, retention`` of least squares.
+        Number of pairs ``h0, y0, h1, y1 ...`` that the parts contain in addition to ``theta, true, gain, floor``,
+            ``lower, upper`` of a box, and ``gathered, retention`` of least squares.
     """
 
     rule: Literal["normalised", "least_squares"]
@@ -54,8 +54,8 @@ class Rule:
 
 @final
 @dataclass(frozen=True)
-class Taken:
-    """What steps come to: the next states by name, and what they move, lose and gain of half of what they store."""
+class StepResult:
+    """Result of update steps: next states by name, and change, decrease and increase of half of the storage."""
 
     moves: Mapping[str, list[Any]]
     moved: Any
@@ -63,8 +63,8 @@ class Taken:
     gained: Any
 
 
-class Own(NamedTuple):
-    """What the steps of one output read; `G` is the triangle of its information matrix, `rows` are pairs h, y."""
+class OutputData(NamedTuple):
+    """Data of the steps of one output; `G` is the triangle of its information matrix, `rows` are pairs h, y."""
 
     theta: Column
     true: Column
@@ -76,8 +76,8 @@ class Own(NamedTuple):
     retention: Any
 
 
-class Moved(NamedTuple):
-    """What the steps of one output come to: its next parameters and matrix, and the summands of the totals, doubled."""
+class OutputResult(NamedTuple):
+    """Result of the steps of one output: next parameters and matrix, and the summands of the totals, doubled."""
 
     theta: list[Any]
     G: list[Any]
@@ -86,31 +86,31 @@ class Moved(NamedTuple):
     gained: list[Any]
 
 
-def taken(
-    ring: Any, steps: Rule, parts: Mapping[str, Column], known: dict[int, tuple[Own, Moved]] | None = None
-) -> Taken:
-    """Take the steps; raises where a divisor vanishes.
+def step_result(
+    ring: Any, steps: Rule, parts: Mapping[str, Column], known: dict[int, tuple[OutputData, OutputResult]] | None = None
+) -> StepResult:
+    """Evaluate the update steps; raises if a divisor vanishes.
 
-    `known` has what outputs came to before, which is used again where they read the same; it is added to.
+    `known` contains results of outputs for earlier data, which are used again for equal data; new results are added.
     """
-    known, found = {} if known is None else known, list[Moved]()
-    for j, own in enumerate(_own(steps, parts)):
-        if j not in known or known[j][0] != own:
-            known[j] = own, _RULES[steps.rule](ring, own)
+    known, found = {} if known is None else known, list[OutputResult]()
+    for j, data in enumerate(_output_data(steps, parts)):
+        if j not in known or known[j][0] != data:
+            known[j] = data, _RULES[steps.rule](ring, data)
         found.append(known[j][1])
     moves = {steps.estimate: [x for item in found for x in item.theta]}
     if steps.rule == "least_squares":
         moves[steps.memory] = [x for item in found for x in item.G]
     totals = ([x for item in found for x in getattr(item, name)] for name in ("moved", "lost", "gained"))
-    return Taken(moves, *(_half(ring, ring.reduced(sum(total, ring.number(0)))) for total in totals))
+    return StepResult(moves, *(_half(ring, ring.reduced(sum(total, ring.number(0)))) for total in totals))
 
 
 def _half(ring: Any, value: Any) -> Any:
     return value * ring.inverse(ring.number(2))
 
 
-def _own(steps: Rule, parts: Mapping[str, Column]) -> Iterator[Own]:
-    """What each output reads."""
+def _output_data(steps: Rule, parts: Mapping[str, Column]) -> Iterator[OutputData]:
+    """Data of each output."""
     squares = steps.rule == "least_squares"
     (floor,), (retention,) = parts["floor"], parts["retention"] if squares else (0,)
     pieces = {
@@ -122,8 +122,8 @@ def _own(steps: Rule, parts: Mapping[str, Column]) -> Iterator[Own]:
     for j in range(len(steps.sizes)):
         theta, true, gain = (pieces[name][j] for name in ("theta", "true", "gain"))
         box = (pieces["lower"][j], pieces["upper"][j]) if steps.box else None
-        own = [(h[j], y[j]) for h, y in rows]
-        yield Own(theta, true, gain, own, floor, box, triangles[j] if squares else (), retention)
+        data = [(h[j], y[j]) for h, y in rows]
+        yield OutputData(theta, true, gain, data, floor, box, triangles[j] if squares else (), retention)
 
 
 def _pieces(sizes: Sequence[int], column: Column) -> list[Column]:
@@ -135,54 +135,54 @@ def _into_box(ring: Any, value: Any, lower: Any, upper: Any) -> Any:
     return ring.call("fmin", ring.call("fmax", value, lower), upper)
 
 
-def _normalised(ring: Any, own: Own) -> Moved:
+def _normalised(ring: Any, data: OutputData) -> OutputResult:
     r"""For each row :math:`\theta \leftarrow \theta + \Gamma h \varepsilon / n`, :math:`n = \nu + h' \Gamma h`."""
     moved, lost, gained = list[Any](), list[Any](), list[Any]()
-    theta, true, gain, floor = list(own.theta), own.true, own.gain, own.floor
+    theta, true, gain, floor = list(data.theta), data.true, data.gain, data.floor
     inverses = [ring.inverse(g) for g in gain]
-    for h, y in own.rows:
-        learnt = [ring.reduced(g * x) for g, x in zip(gain, h, strict=True)]
-        inverse = ring.inverse(floor + dot(ring, h, learnt))
-        missed = ring.reduced(y - dot(ring, h, theta))
+    for h, y in data.rows:
+        direction = [ring.reduced(g * x) for g, x in zip(gain, h, strict=True)]
+        inverse = ring.inverse(floor + dot(ring, h, direction))
+        innovation = ring.reduced(y - dot(ring, h, theta))
         error = dot(ring, h, [a - b for a, b in zip(theta, true, strict=True)])
-        share = ring.reduced(missed * inverse)
-        lost += [ring.reduced(error * error) * inverse, floor * ring.reduced(share * share)]
-        gained.append(ring.reduced((missed + error) * (missed + error)) * inverse)
-        after = [ring.reduced(now + step * share) for now, step in zip(theta, learnt, strict=True)]
+        factor = ring.reduced(innovation * inverse)
+        lost += [ring.reduced(error * error) * inverse, floor * ring.reduced(factor * factor)]
+        gained.append(ring.reduced((innovation + error) * (innovation + error)) * inverse)
+        after = [ring.reduced(now + step * factor) for now, step in zip(theta, direction, strict=True)]
         steps = [ring.reduced((new - now) * w) for new, now, w in zip(after, theta, inverses, strict=True)]
         sums = [new + now - 2 * x for new, now, x in zip(after, theta, true, strict=True)]
         moved.append(dot(ring, steps, sums))
         theta = after
-        if own.box:
-            theta = [_into_box(ring, x, a, b) for x, a, b in zip(after, *own.box, strict=True)]
-    return Moved(theta, [], moved, lost, gained)
+        if data.box:
+            theta = [_into_box(ring, x, a, b) for x, a, b in zip(after, *data.box, strict=True)]
+    return OutputResult(theta, [], moved, lost, gained)
 
 
-def _least_squares(ring: Any, own: Own) -> Moved:
+def _least_squares(ring: Any, data: OutputData) -> OutputResult:
     r"""For each row :math:`\theta \leftarrow \theta + W^{-1} h \varepsilon / n`, :math:`G \leftarrow G + h h'/\nu`."""
     moved, lost, gained = list[Any](), list[Any](), list[Any]()
-    theta, true, floor, n = list(own.theta), own.true, own.floor, len(own.theta)
-    by_floor, metric, G = ring.inverse(floor), [ring.inverse(g) for g in own.gain], _unpacked(n, own.G)
-    for h, y in own.rows:
+    theta, true, floor, n = list(data.theta), data.true, data.floor, len(data.theta)
+    by_floor, metric, G = ring.inverse(floor), [ring.inverse(g) for g in data.gain], _unpacked(n, data.G)
+    for h, y in data.rows:
         W = _plus_diagonal(G, metric)
-        learnt = [dot(ring, row, h) for row in inverse_of(ring, W)]
-        share = ring.inverse(floor + dot(ring, h, learnt))
-        missed = ring.reduced(y - dot(ring, h, theta))
+        direction = [dot(ring, row, h) for row in inverse_of(ring, W)]
+        factor = ring.inverse(floor + dot(ring, h, direction))
+        innovation = ring.reduced(y - dot(ring, h, theta))
         error = [a - b for a, b in zip(theta, true, strict=True)]
-        step = ring.reduced(missed * share)
-        after = [ring.reduced(now + part * step) for now, part in zip(theta, learnt, strict=True)]
+        step = ring.reduced(innovation * factor)
+        after = [ring.reduced(now + part * step) for now, part in zip(theta, direction, strict=True)]
         G = [[ring.reduced(G[i][k] + ring.reduced(h[i] * h[k]) * by_floor) for k in range(n)] for i in range(n)]
         next_W = _plus_diagonal(G, metric)
         wrong = [a - b for a, b in zip(after, true, strict=True)]
         moved += [_quadratic(ring, wrong, next_W), -_quadratic(ring, error, W)]
-        lost.append(missed * step)
-        left = missed + dot(ring, h, error)
-        gained.append(ring.reduced(left * left) * by_floor)
+        lost.append(innovation * step)
+        remainder = innovation + dot(ring, h, error)
+        gained.append(ring.reduced(remainder * remainder) * by_floor)
         theta = after
-        if own.box:
-            theta, G = _put_back(ring, theta, G, inverse_of(ring, next_W), *own.box)
-    kept = [ring.reduced(own.retention * G[row][column]) for column in range(n) for row in range(column, n)]
-    return Moved(theta, kept, moved, lost, gained)
+        if data.box:
+            theta, G = _project_onto_box(ring, theta, G, inverse_of(ring, next_W), *data.box)
+    kept = [ring.reduced(data.retention * G[row][column]) for column in range(n) for row in range(column, n)]
+    return OutputResult(theta, kept, moved, lost, gained)
 
 
 _RULES: Final = {"normalised": _normalised, "least_squares": _least_squares}
@@ -197,7 +197,7 @@ def _plus_diagonal(G: Sequence[Column], diagonal: Column) -> list[list[Any]]:
 
 
 def _unpacked(n: int, triangle: Column) -> list[list[Any]]:
-    """The symmetric matrix of a lower triangle, column by column."""
+    """Symmetric matrix from its lower triangle, stored by columns."""
     matrix: list[list[Any]] = [[0] * n for _ in range(n)]
     numbers = iter(triangle)
     for column in range(n):
@@ -207,9 +207,9 @@ def _unpacked(n: int, triangle: Column) -> list[list[Any]]:
 
 
 def inverse_of(ring: Any, W: Sequence[Column]) -> list[list[Any]]:
-    """The inverse of a matrix whose leading minors do not vanish: the ring's, or by elimination without pivoting."""
-    if own := getattr(ring, "inverse_matrix", None):
-        found: list[list[Any]] = own(W)
+    """Inverse of a matrix with nonzero leading minors: by the ring's method, or by elimination without pivoting."""
+    if data := getattr(ring, "inverse_matrix", None):
+        found: list[list[Any]] = data(W)
         return found
     n = len(W)
     rows = [[*row, *(ring.number(int(i == k)) for k in range(n))] for i, row in enumerate(W)]
@@ -223,26 +223,26 @@ def inverse_of(ring: Any, W: Sequence[Column]) -> list[list[Any]]:
     return [row[n:] for row in rows]
 
 
-def _put_back(
+def _project_onto_box(
     ring: Any, theta: list[Any], G: list[list[Any]], P: Sequence[Column], lower: Column, upper: Column
 ) -> tuple[list[Any], list[list[Any]]]:
-    """Onto one face after the other in the norm of P^-1; else cut at the box, and G set to zero."""
+    """Project onto the faces one after the other in the norm of P^-1; otherwise clip to the box and set G to zero."""
     for i, (low, high) in enumerate(zip(lower, upper, strict=True)):
         face = _into_box(ring, theta[i], low, high)
-        share = ring.reduced((theta[i] - face) * ring.inverse(P[i][i]))
-        theta = [ring.reduced(x - P[k][i] * share) for k, x in enumerate(theta)]
+        factor = ring.reduced((theta[i] - face) * ring.inverse(P[i][i]))
+        theta = [ring.reduced(x - P[k][i] * factor) for k, x in enumerate(theta)]
         theta[i] = face
     cut = [_into_box(ring, x, low, high) for x, low, high in zip(theta, lower, upper, strict=True)]
     kept = ring.number(1)
-    for i in range(len(theta) - 1):  # the last one is on its face or inside
+    for i in range(len(theta) - 1):  # the last element is already on its face or inside
         kept = ring.reduced(kept * ring.call("eq", theta[i], cut[i]))
     return cut, [[ring.reduced(x * kept) for x in row] for row in G]
 
 
-def pushed(
+def shifted(
     ring: Any, newest: Column, state: Column, shapes: tuple[tuple[int, int], tuple[int, int]], when: Any | None
 ) -> list[Any]:
-    """A delay line at the next sample: the newest entry first, the others pushed back, the oldest dropped."""
+    """Delay line at the next sample: the newest entry is inserted first, and the oldest is dropped."""
     (rows, columns), (height, width) = shapes
     if columns == width:
         after = [

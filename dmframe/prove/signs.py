@@ -1,4 +1,4 @@
-"""Signs of a claim at numbers: the weight of each square of V and of the dissipation, in rational arithmetic."""
+"""Signs of a claim at given parameter values: the weight of each square of V and of the dissipation, exactly."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Numbers = Mapping[str, Sequence[Fraction]]
 """Values of the parameters, by label."""
 
 ROLES: Final = (("stored", "V", True), ("dissipation", "D V", False))
-"""Terms whose weights have a sign, what holds them, and whether the weight must be above zero."""
+"""Terms whose weights have a sign, the quantity that contains them, and whether the weight must be positive."""
 
 
 @final
 @dataclass(frozen=True)
 class Sign:
-    """The least element of a weight, or the least pivot of a matrix; None where more than numbers decides it."""
+    """Least element of a weight, or least pivot of a matrix; None if numbers alone do not determine it."""
 
     name: str
     least: Fraction | None
@@ -31,14 +31,14 @@ class Sign:
 
     @property
     def holds(self) -> bool | None:
-        """Above zero, or not below it."""
+        """Positive, or nonnegative if the condition is not strict."""
         if self.least is None:
             return None
         return self.least > 0 if self.strict else self.least >= 0
 
 
 def signs(claim: Claim, numbers: Numbers) -> Iterator[Sign]:
-    """The signs that the claim needs, of all terms; and of the gains and floors of steps."""
+    """Signs that the claim requires, of all terms and of the gains and floors of update steps."""
     for part in claim.parts:
         yield from _of_terms(claim, part, numbers)
         for steps in part.steps:
@@ -59,7 +59,7 @@ def _of_terms(claim: Claim, part: Part, numbers: Numbers) -> Iterator[Sign]:
 
 
 def _least(claim: Claim, out: Out, size: int, numbers: Numbers) -> Fraction | None:
-    """Of a weight of a vector of that size; None of what moves, and of what is more than + - * and / of numbers."""
+    """Least element of the weight of a vector of that size; None if it varies or needs more than + - * /."""
     tape, position = claim.tape, claim.outputs[out]
     places = needed(tape, [position])
     known = {symbol.label: symbol.values or numbers.get(symbol.label) for symbol in claim.symbols}
@@ -97,9 +97,9 @@ class _Rationals:
         return 1 / value
 
     def power(self, value: Fraction, exponent: int) -> Fraction:
-        """A whole power."""
+        """An integer power."""
         return value**exponent
 
     def call(self, name: str, *arguments: Any) -> Fraction:
-        """No function has an exact value."""
+        """Raise `ValueFault`: no function has an exact value."""
         raise ValueFault(f"a sign: expected + - * and /, found {name}")

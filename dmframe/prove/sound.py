@@ -1,4 +1,4 @@
-"""What a claim has to be, so that the identity of its data is one of V: every rule that a file could break."""
+"""Validity rules of a claim: if its data obey them, its identity is an identity of V."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from dmframe.exact.tangent import between
 from dmframe.program import CONST, INPUT, JUMPS, sign_of
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term
 
-STILL: Final = frozenset(("parameter", "weight", "constant", "stepping"))
-"""Kinds of symbols that have the same value at all times; a stepping one between its steps, where V begins anew."""
+FIXED_KINDS: Final = frozenset(("parameter", "weight", "constant", "stepping"))
+"""Kinds of symbols that are constant; a stepping one is constant between its steps, at which V starts anew."""
 
 MOVING: Final = {"flow": frozenset(("time", "state", "trajectory")), "sample": frozenset(("state",))}
-"""Kinds of symbols that move, by the operator."""
+"""Kinds of symbols that vary with time, by the operator."""
 
 KINDS: Final = {
     "flow": frozenset(("parameter", "weight", "projection")) | MOVING["flow"],
-    "sample": STILL - {"weight"} | MOVING["flow"] | {"projection", "period", "noise", "command"},
+    "sample": FIXED_KINDS - {"weight"} | MOVING["flow"] | {"projection", "period", "noise", "command"},
 }
 """All kinds of symbols, by the operator."""
 
@@ -33,7 +33,7 @@ TERMS: Final[Mapping[str, frozenset[str]]] = {
     "log_det": frozenset(("value",)),
     "clipped": frozenset(("value",)),
 }
-"""The parts of a term, by its rule."""
+"""Parts of a term, by its rule."""
 
 ROLES: Final[Mapping[str, frozenset[str]]] = {
     "stored": frozenset(("square", "gathered", "potential", "log_det")),
@@ -41,39 +41,39 @@ ROLES: Final[Mapping[str, frozenset[str]]] = {
     "residual": frozenset(("square", "norm_square", "clipped")),
     "errors": frozenset(("square",)),
 }
-"""The rules of which a term may be, by its role."""
+"""Rules that a term can have, by its role."""
 
 CONSTANT: Final = frozenset(("true", "gain", "floor", "retention", "lower", "upper"))
-"""Parts of steps that must not move."""
+"""Parts of update steps that must be constant."""
 
 LARGEST: Final = 10**6
-"""Elements of all inputs, and of all outputs, that a claim may have."""
+"""Largest number of elements of all inputs, and of all outputs."""
 
 
-def hold_sound(claim: Claim) -> None:
-    """Raise `ValueFault` for a claim whose data do not belong together, or of which D V would not be that of V."""
+def require_sound(claim: Claim) -> None:
+    """Raise `ValueFault` for a claim with inconsistent data, or in which D V would not be the derivative of V."""
     for fault in _Rules(claim).faults():
         raise ValueFault(f"a claim: {fault}")
 
 
 @final
 class _Rules:
-    """The rules, each a text for what breaks it; later ones read only what earlier ones have held."""
+    """The rules, each with a message for its violation; later rules rely on earlier ones."""
 
     def __init__(self, claim: Claim) -> None:
-        self._of = claim
+        self._claim = claim
         self._kinds = {symbol.label: symbol.kind for symbol in claim.symbols}
         self._sizes = {symbol.label: symbol.size for symbol in claim.symbols}
         self._shapes = {pattern.name: (pattern.rows, pattern.size) for pattern in claim.program.outputs}
         self._read = list[Out]()
 
     def faults(self) -> Iterator[str]:
-        """All that is broken."""
+        """Messages for all violations."""
         yield from self._symbols()
         yield from self._program()
-        yield from self._moves(self._of.moves, MOVING[self._of.operator])
-        yield from self._moves(self._of.plant_moves, frozenset(("state",)))
-        for part in self._of.parts:
+        yield from self._moves(self._claim.moves, MOVING[self._claim.operator])
+        yield from self._moves(self._claim.plant_moves, frozenset(("state",)))
+        for part in self._claim.parts:
             for fault in self._part(part):
                 yield f"{part.block}: {fault}"
         yield from self._composed()
@@ -81,15 +81,15 @@ class _Rules:
         counts = Counter(self._read)
         for out in self._shapes:
             if counts[out] != 1:
-                yield f"expected each output to be read once, found {out} read {counts[out]} times"
+                yield f"expected each output to be used once, found {out} used {counts[out]} times"
         yield from self._dependence()
 
     def _symbols(self) -> Iterator[str]:
-        of = self._of
+        of = self._claim
         labels = [*(symbol.label for symbol in of.symbols), *(f"{gain}.changed" for gain in of.gains)]
         for label, count in Counter(labels).items():
             if count > 1:
-                yield f"expected each symbol to have a label of its own, found {label} twice"
+                yield f"expected each symbol to have a unique label, found {label} twice"
         for symbol in of.symbols:
             if symbol.kind not in KINDS[of.operator]:
                 yield f"{symbol.label}: expected one of {', '.join(sorted(KINDS[of.operator]))}, found {symbol.kind}"
@@ -102,21 +102,21 @@ class _Rules:
                 yield f"expected gains to be parameters, found {label}"
 
     def _program(self) -> Iterator[str]:
-        of, program = self._of, self._of.program
+        of, program = self._claim, self._claim.program
         wanted = [(symbol.label, symbol.size) for symbol in of.symbols]
         wanted += [(f"{label}.changed", self._sizes[label]) for label in of.gains]
         found = [(item.name, item.size) for item in program.inputs if item.rows == item.size]
         if len(found) != len(program.inputs) or found != wanted:
             yield "expected the program's inputs to be columns: the symbols and the copies of the gains"
         if len(self._shapes) != len(program.outputs):
-            yield "expected each output to have a name of its own"
+            yield "expected each output to have a unique name"
         if max(sum(item.size for item in side) for side in (program.inputs, program.outputs)) > LARGEST:
             yield f"expected at most {LARGEST} elements"
         for item in program.outputs:
             if (item.size and not item.rows) or item.size % max(item.rows, 1):
-                yield f"the output {item.name}: expected whole columns, found {item.size} elements in {item.rows} rows"
+                yield f"the output {item.name}: expected complete columns, found {item.size} elements, {item.rows} rows"
             if len({*item.places}) != len(item.places) or not all(0 <= place < item.size for place in item.places):
-                yield f"the output {item.name}: expected places of its own elements, each once"
+                yield f"the output {item.name}: expected the position of each stored element once"
 
     def _moves(self, moves: Mapping[str, Out], kinds: Collection[str]) -> Iterator[str]:
         for label, out in moves.items():
@@ -125,19 +125,19 @@ class _Rules:
             else:
                 yield from self._column(out, self._sizes[label], f"the move of {label}")
             if self._kinds.get(label) == "time" and self._shapes.get(out) == (1, 1) and not self._is_one(out):
-                yield f"expected {label} to move by 1 a second"
+                yield f"expected {label} to have the rate 1"
 
     def _part(self, part: Part) -> Iterator[str]:
-        samples = self._of.over_samples
+        samples = self._claim.over_samples
         if part.weight and (samples or self._kinds.get(part.weight) != "weight"):
-            yield f"expected a weight that is a symbol of that kind, and none over samples, found {part.weight}"
+            yield f"expected a symbol of the kind weight, and none in discrete time, found {part.weight}"
         for role, allowed in ROLES.items():
             for term in getattr(part, role):
                 yield from self._term(role, term, frozenset(("square",)) if samples else allowed)
         if part.consumed is not None:
             yield from self._term("consumed", part.consumed, frozenset(("square",)))
             if self._shapes.get(part.consumed.parts.get("weight", ""), (1, 1))[1] != 1:
-                yield "expected a cross term with one number as its weight"
+                yield "expected a cross term with a scalar weight"
         for name in ("supply", "lemma"):
             if getattr(part, name):
                 yield from self._column(getattr(part, name), 1, name)
@@ -145,27 +145,27 @@ class _Rules:
 
     def _of_a_flow(self, part: Part) -> Iterator[str]:
         if part.steps or part.lines or part.plant or part.solved:
-            yield "expected no steps, lines, relations and solved equations in continuous time"
+            yield "expected no steps, lines, plant identities and solved equations in continuous time"
         for _, matrix, rate in part.memories:
             yield from self._square(matrix, "an information matrix")
             yield from self._sized(rate, {self._shapes.get(matrix, (0, 0))[1]}, "its rate")
         gathered = {term.name for term in (*part.stored, *part.dissipation) if term.rule == "gathered"}
         named = {name for name, _, _ in part.memories}
         if bool(gathered) != bool(named) or not named <= gathered:
-            yield "expected the information matrices of the terms that gather them"
+            yield "expected the information matrices of the terms that contain them"
         for _, matrix in part.symmetric:
             yield from self._square(matrix, "a symmetric matrix")
 
     def _over_samples(self, part: Part) -> Iterator[str]:
         if part.memories or part.symmetric or part.consumed or part.lemma:
-            yield "expected no information matrices, cross terms and projections over samples"
+            yield "expected no information matrices, cross terms and projections in discrete time"
         for steps in part.steps:
             yield from self._steps(part.block, steps)
         for line in part.lines:
             yield from self._line(part.block, line)
         for relation in part.plant:
             for out in (relation.momentum, relation.rest):
-                yield from self._column(out, self._shapes.get(relation.momentum, (0, 0))[1], "a relation")
+                yield from self._column(out, self._shapes.get(relation.momentum, (0, 0))[1], "a plant identity")
         for out in part.solved:
             yield from self._known(out, "a solved equation")
 
@@ -206,26 +206,26 @@ class _Rules:
         yield from self._is_state(label, line.before)
         yield from self._known(line.newest, f"the newest entry of {label}")
         if line.when is not None:
-            yield from self._column(line.when, 1, f"when {label} is stored")
+            yield from self._column(line.when, 1, f"the storage condition of {label}")
         shapes = [_shape(self._shapes.get(out, (0, 0))) for out in (line.newest, line.before)]
         pairs = list(zip(*shapes, strict=True))
         if not (any(a == b for a, b in pairs) and all(a and b % a == 0 for a, b in pairs)):
             yield f"{label}: expected a whole number of entries"
 
     def _composed(self) -> Iterator[str]:
-        blocks = [part.block for part in self._of.parts]
+        blocks = [part.block for part in self._claim.parts]
         if len({*blocks}) != len(blocks) or not all(blocks):
-            yield "expected each part to be of a block of its own"
-        if not any(part.stores for part in self._of.parts):
-            yield "expected a part that stores something"
-        for dominating, consuming, composed, wanted in self._of.composed:
-            if self._of.over_samples or not {dominating, consuming} <= {*blocks}:
+            yield "expected one part per block"
+        if not any(part.stores for part in self._claim.parts):
+            yield "expected a part with a stored term"
+        for dominating, consuming, composed, wanted in self._claim.composed:
+            if self._claim.over_samples or not {dominating, consuming} <= {*blocks}:
                 yield f"expected a cross term of two blocks in continuous time, found {dominating} and {consuming}"
             for out in (composed, wanted):
                 yield from self._column(out, self._shapes.get(wanted, (0, 0))[1], "a composed vector")
 
     def _labels(self) -> Iterator[str]:
-        of = self._of
+        of = self._claim
         for label, count in Counter((*of.reversed, *of.stored_states)).items():
             if count > (label in of.reversed) + (label in of.stored_states):
                 yield f"expected {label} once"
@@ -235,31 +235,31 @@ class _Rules:
             yield "expected no sampled states and no moves of the plant between samples in continuous time"
 
     def _dependence(self) -> Iterator[str]:
-        """What V holds has a move, does not jump, and holds no copy of a gain."""
-        of, moves = self._of, {*self._of.moves.values()}
+        """Each state in V has a rate, V is continuous, and V contains no copy of a gain."""
+        of, moves = self._claim, {*self._claim.moves.values()}
         steps = [item for part in of.parts for item in part.steps]
         constant = [out for item in steps for name, out in item.parts.items() if name in CONSTANT]
         for outs, moving in ((of.differentiated, of.moved), (constant, ()), (of.momenta, of.plant_moves)):
-            for label in self._held(outs):
-                if self._kinds.get(label) not in STILL and label not in moving:
-                    yield f"V, or what it is made of, holds {label}, which has no move"
-        for label in self._held([out for out in self._shapes if out not in moves]):
+            for label in self._inputs_of(outs):
+                if self._kinds.get(label) not in FIXED_KINDS and label not in moving:
+                    yield f"V depends on {label}, which has no rate"
+        for label in self._inputs_of([out for out in self._shapes if out not in moves]):
             if label not in self._kinds:
-                yield f"expected {label} in the moves alone"
+                yield f"expected {label} only in rates or next values"
         yield from self._jumps(of.momenta, of.plant_moves)
         if not of.over_samples:
             yield from self._jumps(of.differentiated, of.moves)
 
     def _jumps(self, outs: Collection[Out], moves: Collection[str]) -> Iterator[str]:
-        of = self._of
+        of = self._claim
         for place in between(of.tape, [of.inputs[label] for label in moves], [of.outputs[out] for out in outs]):
             if of.tape.nodes[place].code in JUMPS:
-                yield f"what is differentiated holds {sign_of(of.tape.nodes[place].code)}, which jumps"
+                yield f"a differentiated output contains {sign_of(of.tape.nodes[place].code)}, which is discontinuous"
 
-    def _held(self, outs: Collection[Out]) -> Iterator[str]:
-        """The inputs that these outputs depend on."""
-        nodes, inputs = self._of.tape.nodes, self._of.program.inputs
-        places = needed(self._of.tape, [self._of.outputs[out] for out in outs])
+    def _inputs_of(self, outs: Collection[Out]) -> Iterator[str]:
+        """Inputs that these outputs depend on."""
+        nodes, inputs = self._claim.tape.nodes, self._claim.program.inputs
+        places = needed(self._claim.tape, [self._claim.outputs[out] for out in outs])
         return (inputs[k].name for k in sorted({nodes[place].a for place in places if nodes[place].code == INPUT}))
 
     def _known(self, out: Out, what: str) -> Iterator[str]:
@@ -284,21 +284,21 @@ class _Rules:
             yield f"{what}: expected a square matrix, found {rows} rows of {size} elements"
 
     def _is_state(self, label: str, out: Out) -> Iterator[str]:
-        """An output that is a state itself, of which steps or a delay line say the move."""
-        if label not in self._of.moves:
+        """An output that is itself a state whose rate is determined by update steps or a delay line."""
+        if label not in self._claim.moves:
             yield f"expected a move of {label}"
             return
-        position, item = self._of.inputs[label], self._of.outputs[out]
-        found = [self._of.program.nodes[place] for place in self._of.program.sources[item]]
+        position, item = self._claim.inputs[label], self._claim.outputs[out]
+        found = [self._claim.program.nodes[place] for place in self._claim.program.sources[item]]
         own = [node.b for node in found if node.code == INPUT and node.a == position]
-        if own != list(range(self._sizes[label])) or list(self._of.program.outputs[item].places) != own:
-            yield f"expected {label} itself, found {out}"
+        if own != list(range(self._sizes[label])) or list(self._claim.program.outputs[item].places) != own:
+            yield f"expected the state {label}, found {out}"
 
     def _is_one(self, out: Out) -> bool:
-        program = self._of.program
-        sources = program.sources[self._of.outputs[out]]
+        program = self._claim.program
+        sources = program.sources[self._claim.outputs[out]]
         return all(
-            program.nodes[k].code == CONST and self._of.tape.numbers[program.nodes[k].constant] == 1 for k in sources
+            program.nodes[k].code == CONST and self._claim.tape.numbers[program.nodes[k].constant] == 1 for k in sources
         ) and bool(sources)
 
 

@@ -1,4 +1,4 @@
-"""Stability of matrices of numbers, and of z'' + a z' + b z = 0 with a and b anywhere in their boxes."""
+"""Stability of numeric matrices, and of z'' + a z' + b z = 0 for all a and b in given intervals."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Corners = Sequence[tuple[Fraction, Fraction]]
 Range = tuple[Fraction, Fraction]
 
 STEPS = 50
-"""Of the searches: each narrows its interval by a third or a half."""
+"""Number of steps of the searches; each narrows its interval by a third or a half."""
 
 
 def is_stable_matrix(A: Sequence[Sequence[Number]]) -> bool:
-    """Stability of a matrix of one or two rows, of numbers or intervals.
+    """Stability of a 1 x 1 or 2 x 2 matrix of numbers or intervals.
 
-    One row: A < 0 at its upper end. Two of numbers: trace A < 0 and det A > 0; of intervals, a companion form
-    [[0, 1], [-b, -a]] with one Lyapunov matrix for all corners of the box.
+    1 x 1: A < 0 at its upper end. 2 x 2 of numbers: trace A < 0 and det A > 0. 2 x 2 of intervals: a companion form
+    [[0, 1], [-b, -a]] with a common Lyapunov matrix for all corners of the box.
     """
     if len(A) == 1:
         return upper(A[0][0]) < 0
@@ -39,11 +39,11 @@ def is_stable_matrix(A: Sequence[Sequence[Number]]) -> bool:
 
 @cache
 def common_margin(a: Range, b: Range) -> Fraction:
-    r"""How negative :math:`A^\top P + P A` is, at its worst corner, for the best P = [[x, y], [y, 1]] found.
+    r"""Margin of :math:`A^\top P + P A < 0` at the worst corner, for the best P = [[x, y], [y, 1]] found.
 
     With :math:`A = [[0, 1], [-b, -a]]` it is [[-2 y b, x - y a - b], [., 2 y - 2 a]]. The largest eigenvalue of a
     symmetric [[r, s], [s, t]] is below -m iff r + m < 0 and (r + m)(t + m) > s^2: decided in rational numbers, with m
-    found by bisection. A positive margin proves stability; zero says that there is no P, or none that numbers find.
+    found by bisection. A positive margin proves stability; zero means that no P exists, or that the search found none.
     """
     corners = list(product(a, b))
     return max((_margin(P, corners) for P in _candidates(corners)), default=Fraction(0))
@@ -73,28 +73,28 @@ def _negative(P: tuple[Fraction, Fraction], corners: Corners, m: Fraction) -> bo
 
 
 def _candidates(corners: Corners) -> list[tuple[Fraction, Fraction]]:
-    """Matrices P worth a check: in the middle of what is allowed, and with the margin as large as a search makes it.
+    """Candidates for P: the centre of the admissible interval, and the largest margin that a search finds.
 
-    For a given y, x must lie within sqrt(4 y b (a - y)) of y a + b at each corner. The width that is left over is
-    concave in y, so that a search by thirds finds its maximum, and no P where there is none.
+    For a given y, x must lie within sqrt(4 y b (a - y)) of y a + b at each corner. The width of the admissible interval
+    is concave in y, so that a ternary search finds its maximum, and no P if there is none.
     """
     if any(a <= 0 or b <= 0 for a, b in corners):
         return []
     points = [(as_float(a), as_float(b)) for a, b in corners]
     if not all(0 < number < math.inf for point in points for number in point):
-        return []  # beyond what floats can search
+        return []  # beyond the range of floats
     top = min(a for a, _ in points)
-    widest = _thirds(lambda y: _width(y, points)[0], 0.0, top)
+    widest = _ternary_search(lambda y: _width(y, points)[0], 0.0, top)
     width, middle = _width(widest, points)
     if width <= 0:
         return []
-    best = _thirds(lambda y: -_worst(_best_x(y, points), y, points), 0.0, top)
+    best = _ternary_search(lambda y: -_worst(_best_x(y, points), y, points), 0.0, top)
     pairs = [(middle, widest), (_best_x(best, points), best)]
     return [(Fraction(x), Fraction(y)) for x, y in pairs]
 
 
 def _width(y: float, points: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """The width of the interval in which x must lie, and its middle."""
+    """Width and centre of the admissible interval of x."""
     reaches = [(y * a + b, 2 * math.sqrt(max(0.0, y * b * (a - y)))) for a, b in points]
     lower, upper = max(x - r for x, r in reaches), min(x + r for x, r in reaches)
     return upper - lower, (lower + upper) / 2
@@ -102,7 +102,7 @@ def _width(y: float, points: Sequence[tuple[float, float]]) -> tuple[float, floa
 
 def _best_x(y: float, points: Sequence[tuple[float, float]]) -> float:
     ends = [y * a + b for a, b in points]
-    return _thirds(lambda x: -_worst(x, y, points), min(ends), max(ends))
+    return _ternary_search(lambda x: -_worst(x, y, points), min(ends), max(ends))
 
 
 def _worst(x: float, y: float, points: Sequence[tuple[float, float]]) -> float:
@@ -110,8 +110,8 @@ def _worst(x: float, y: float, points: Sequence[tuple[float, float]]) -> float:
     return max(y - a - y * b + math.hypot(y - a + y * b, x - y * a - b) for a, b in points)
 
 
-def _thirds(f: Callable[[float], float], low: float, high: float) -> float:
-    """Where a concave function is largest."""
+def _ternary_search(f: Callable[[float], float], low: float, high: float) -> float:
+    """Maximiser of a concave function by ternary search."""
     for _ in range(STEPS):
         left, right = low + (high - low) / 3, high - (high - low) / 3
         low, high = (low, right) if f(left) > f(right) else (left, high)

@@ -7,15 +7,10 @@ since is decided anew.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 from dmframe.remembered import recorder, store
-
-T = TypeVar("T")
-Inputs = tuple[tuple[tuple[str, str], ...], str]
-"""What a copy of the process read, by kind and name, and why not all of it is known; the latter may be empty."""
 
 _recalled: list[dict[str, Any]] = []
 
@@ -30,28 +25,6 @@ def recalled(count: int) -> Sequence[dict[str, Any]]:
     return _recalled if len(_recalled) == count else ()
 
 
-def watched(job: Callable[[], T]) -> tuple[T, Inputs]:
-    """The result of a job, and what it read in a copy of this process, for `adopt`."""
-    watching = recorder.current()
-    if watching is None or os.getpid() == watching.process:
-        return job(), ((), "")
-    watching.start_in_copy()
-    result = job()
-    return result, (tuple(watching.names()), watching.refused)
-
-
-def adopt(found: tuple[T, Inputs]) -> T:
-    """The result of a `watched` job; what it read is recorded here."""
-    result, (names, refused) = found
-    watching = recorder.current()
-    if watching is not None:
-        for kind, name in names:
-            watching.add(kind, name)
-        if refused:
-            watching.refuse(refused)
-    return result
-
-
 def keep(watching: recorder.Recorder | None, conclusions: Sequence[dict[str, Any]]) -> bool:
     """Keep the conclusions of the call that `watching` recorded; returns whether they were kept."""
     entry = watching.entry() if watching is not None else None
@@ -60,4 +33,4 @@ def keep(watching: recorder.Recorder | None, conclusions: Sequence[dict[str, Any
     return store.keep(watching.place, watching.call.key, {**entry, "conclusions": list(conclusions)})
 
 
-__all__ = ["adopt", "keep", "recall", "recalled", "watched"]
+__all__ = ["keep", "recall", "recalled"]

@@ -20,7 +20,7 @@ WIDEST: Final = 116
 _VALUES: Final = {"verify": ("--set", "--seed"), "run": ("--set", "--until", "--reality")}
 """Options with a value that a verdict, or what a run concludes from its graphs, depends on."""
 _FLAGS: Final = {"verify": ("--json", "--fresh"), "run": ("--json", "--fresh", "--no-plots", "--page", "--force")}
-_APART: Final = {"verify": (), "run": ("--out", "--engine", "--figures")}
+_APART: Final = {"verify": (), "run": ("--out", "-o", "--engine", "--figures")}
 """Flags and options with a value that it does not depend on."""
 
 

@@ -51,10 +51,14 @@ _REFUSED: Final = frozenset(
     )
 )
 _COPIES: Final = copies.__file__
-"""Its copies of the process end where they read anything."""
+"""The module whose forked processes hand over what they read."""
 _METADATA: Final = os.path.join("importlib", "metadata", "")  # noqa: PTH118 - see front
 
-_watching: list[Recorder] = []
+Noted = tuple[tuple[tuple[str, str], ...], str]
+"""Kind and name of each input of a job, and why not all of them are known, which may be empty."""
+
+_watching: list[Any] = copies.watchers
+"""Recorders; the last one records."""
 _hooked: list[bool] = []
 
 
@@ -63,36 +67,45 @@ class Recorder:
     """The inputs of one call, from `begin` on."""
 
     def __init__(self, call: Call, place: str) -> None:
-        self.call, self.place, self.process = call, place, os.getpid()
+        self.call, self.place = call, place
         self.refused = ""
         self.aside = list[str]()
         self._began = time.time_ns()
         self._seen, self._written = dict[tuple[str, str], None](), set[str]()
+        self._known = set[tuple[str, str]]()  # what a forked process need not hand over
         self._library, self._cache = _libraries(), os.path.join(os.path.dirname(place), "")  # noqa: PTH118, PTH120
 
     def add(self, kind: str, name: str) -> None:
         """Note an input."""
-        self._end_copy()
         self._seen[kind, name] = None
 
     def refuse(self, reason: str) -> None:
         """Note that not all is known; the first reason is kept."""
-        self._end_copy()
         self.refused = self.refused or reason
 
-    def _end_copy(self) -> None:
-        """End a copy of the process: what it would record is lost, and its work is repeated by the process itself."""
-        if os.getpid() != self.process:
-            os._exit(1)
-
     def start_in_copy(self) -> None:
-        """Record in a copy of the process, whose job returns what it read; see `dmframe.remembered.conclusions`."""
-        self.process = os.getpid()
-        self._seen.clear()
+        """Note in a forked process what it reads in addition."""
+        self._known = set(self.names())
+
+    def noted(self) -> Noted:
+        """What was read since the last call in a forked process."""
+        new = tuple(name for name in self.names() if name not in self._known)
+        self._known.update(new)
+        return new, self.refused
+
+    def adopt(self, noted: Noted) -> None:
+        """Note what a forked process read."""
+        names, refused = noted
+        for kind, name in names:
+            self.add(kind, name)
+        if refused:
+            self.refuse(refused)
 
     def names(self) -> Iterator[tuple[str, str]]:
         """Kind and name of all that was read, as it is recorded."""
-        yield from (*self._seen, *_loaded(self._cache))
+        with paused():
+            loaded = list(_loaded(self._cache))
+        yield from (*self._seen, *loaded)
 
     def opened(self, path: Any, flags: int) -> None:
         """A file was opened; descriptors were opened before under a name."""

@@ -21,7 +21,7 @@ from dmframe.formula import PrintedLaw, laws_of
 from dmframe.formula.where import where
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
-from dmframe.report.parts import Row
+from dmframe.report.parts import Row, Section
 from dmframe.report.planar import RobotModel, robot_model
 from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
 from dmframe.report.words import Meaning, meaning_of
@@ -123,6 +123,8 @@ class Content:
         See `dmframe.results.folder.provenance`.
     resolved
         The graph with all defaults written out, as YAML.
+    own
+        Further sections, which the caller of the report gave.
     """
 
     name: str
@@ -148,6 +150,7 @@ class Content:
     provenance: Mapping[str, Any]
     replay: str
     resolved: str
+    own: tuple[Section, ...] = ()
 
 
 def opening(graph: BaseGraph, verdict: Verdict) -> Opening:

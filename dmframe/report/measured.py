@@ -43,6 +43,8 @@ class Measured:
         SVG, or empty.
     table
         Instants [s] with V, for a page without figures.
+    run
+        The recorded signals, for other sections; None if the graph could not be simulated.
     """
 
     sentence: str
@@ -51,6 +53,7 @@ class Measured:
     figure: str = ""
     caption: str = ""
     table: tuple[tuple[float, float], ...] = ()
+    run: Recording | None = None
 
 
 def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = lambda _: None) -> Measured:
@@ -65,7 +68,7 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
     tell("evaluating V along the run")
     found, why = _along(verdict, run)
     if found is None:
-        return Measured(f"{_sentence(clock, verdict)} {why}", tuple(facts), numbers)
+        return Measured(f"{_sentence(clock, verdict)} {why}", tuple(facts), numbers, run=run)
     more, v_numbers = _v_facts(found, clock)
     over = verdict.samples is not None
     kept = np.unique(np.linspace(0, found.time.size - 1, INSTANTS).astype(int))
@@ -77,6 +80,7 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
         figure=figure_svg(storage_picture(StoragePicture(found, names), run)),
         caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
         table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
+        run=run,
     )
 
 

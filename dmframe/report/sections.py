@@ -51,6 +51,7 @@ def sections(content: Content) -> Iterator[Section]:
     yield Section("controls", "Fault injection", [*_controls(r)])
     if r.model is not None:
         yield Section("model", "The robot's equations", [*_model(r)])
+    yield from r.own
     yield Section("provenance", "Provenance", [*_provenance(r)])
 
 

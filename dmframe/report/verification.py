@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
+import shlex
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.certify import Verdict
 from dmframe.certify.summary import summary
+from dmframe.common.errors import DmframeError
 from dmframe.common.files import expanded
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
@@ -19,6 +21,11 @@ if TYPE_CHECKING:
     from dmframe.block.certificate import Assumption
     from dmframe.certify.checked import Checked
     from dmframe.certify.statements import Statement
+    from dmframe.report.content import Content
+    from dmframe.report.parts import Section
+
+ADAPTIVE: Final = "adaptive.yaml"
+"""Name of a graph with a proof next to a graph without one."""
 
 
 @final
@@ -90,18 +97,23 @@ class Verification(AboutGraph):
         """Data that ``dmframe verify --json`` prints."""
         return summary(self.name, self.verdict)
 
-    def report(self, path: str | Path) -> Path:
+    def report(self, path: str | Path, *, sections: Sequence[Callable[[Content], Section]] = ()) -> Path:
         """Simulate the graph and write the report: web page, Markdown or JSON by the ending of `path`.
+
+        Parameters
+        ----------
+        sections
+            Functions that make further sections of a page from its content.
 
         Raises
         ------
-        OutputError
-            If the ending is unknown or the file cannot be written.
+        DmframeError
+            If the ending is unknown, the file cannot be written, or a function returns no section.
         """
         from dmframe.report.write import write_report
 
         path = expanded(path)
-        write_report(path, [self])
+        write_report(path, [self], sections=sections)
         return path
 
     def __repr__(self) -> str:
@@ -116,7 +128,28 @@ class Verification(AboutGraph):
         return _restored, (self.graph, verdict, self.seed, self.label)
 
     def __str__(self) -> str:
-        return verdict_text(self.name, self.verdict)
+        text = verdict_text(self.name, self.verdict)
+        return f"{text}\n  {self._advice}" if self._advice else text
+
+    @property
+    def _advice(self) -> str:
+        """For a graph that a proof does not reach: the graph with a proof that `identify` writes next to a twin."""
+        if self.outcome != "not_applicable":
+            return ""
+        from dmframe.config.document import read_file
+
+        other = Path(self.graph.document.name).with_name(ADAPTIVE)
+        try:
+            data = read_file(other).data
+        except DmframeError:  # most graphs have none
+            return ""
+        own = self.graph.document.data.get("robot")
+        if other.samefile(self.graph.document.name) or not own or data.get("robot") != own:
+            return ""
+        return (
+            f"{ADAPTIVE}, in the same folder, is this robot under an adaptive law, without what a proof excludes\n"
+            f"        (delay, other friction than viscous and Coulomb): dmframe verify {shlex.quote(str(other))}"
+        )
 
     def _repr_html_(self) -> str:
         from dmframe.report.content import opening

@@ -7,7 +7,7 @@ from typing import Final, final
 
 from dmframe.certify import Verdict
 from dmframe.certify.claim import Claim
-from dmframe.certify.states import held_in_v
+from dmframe.certify.states import states_in_v
 from dmframe.common.errors import listed
 from dmframe.common.units import plain
 
@@ -48,7 +48,7 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
 
 
 def _proved_over_samples(verdict: Verdict, claim: Claim) -> Meaning:
-    states = listed([f"`{label}`" for label in held_in_v(claim)])
+    states = listed([f"`{label}`" for label in states_in_v(claim)])
     rises = f"rises by no more than {claim.left}" if claim.left else "never rises"
     sentence = (
         f"from sample to sample, as a mathematical theorem, an energy-like function $V$ of {states} {rises}, for all "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType
@@ -125,6 +125,15 @@ class SerialChain:
         chain = object.__new__(cls)
         vars(chain).update(numbers, _load=load)
         return chain
+
+    def with_other_numbers(self, numbers: Mapping[str, Any], model: Callable[[], Any]) -> SerialChain:
+        """Copy with other numbers, whose model is that of `model()`, called at the first use."""
+        own = {item.name: getattr(self, item.name) for item in fields(self) if not item.name.startswith("model")}
+
+        def load() -> SerialChain:
+            return replace(self, model=model(), model_tool=self.model_tool)
+
+        return self.with_lazy_model({**own, **numbers}, load)
 
     def __getattr__(self, name: str) -> Any:
         """Model of a chain made by `with_lazy_model`."""

@@ -10,7 +10,7 @@ import casadi as ca
 
 from dmframe.block.certificate import SX
 from dmframe.block.faults import fault_context
-from dmframe.block.steady import hold_steady
+from dmframe.block.steady import check_steady
 from dmframe.common.errors import BlockError, StartError, listed
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import columns, stack
@@ -48,7 +48,7 @@ def _stated(diagram: Diagram, block: str) -> Mapping[str, Any]:
     if not isinstance(starts, Mapping):
         raise BlockError(f"{block}: expected start() to return starts by state, found {type(starts).__name__}")
     first = {f"start of {name}": value for name, value in starts.items()}
-    hold_steady(block, diagram.blocks[block], "start() states", first, lambda other: stated_start(other, seen))
+    check_steady(block, diagram.blocks[block], "start() states", first, lambda other: stated_start(other, seen))
     for name in states.keys() & starts.keys():
         with fault_context(block, f"start() of {name}"):
             found, expected = ca.SX(starts[name]).numel(), states[name].numel()

@@ -83,7 +83,8 @@ def box_of(diagram: Diagram, factors: Sequence[Factor], start: Mapping[str, Any]
     # independent draws: the probabilities of the intervals multiply
     each = COVERAGE ** (1 / endless) if endless else 1.0
     for factor, spread in drawn:
-        low, high = _reach(spread, each)
+        ranges = [_reach(own, each) for own in factor.each or [spread]]
+        low, high = np.array(ranges).T if factor.each else ranges[0]
         for written in factor.labels:
             label = label_of(diagram, written, given)
             if label in own:
@@ -133,7 +134,7 @@ def _own(diagram: Diagram, start: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return found
 
 
-def _moved(how: str, own: Ends, low: float, high: float) -> Ends:
+def _moved(how: str, own: Ends, low: Any, high: Any) -> Ends:
     below, above = own
     if how == "scale":
         products = np.stack([low * below, low * above, high * below, high * above])

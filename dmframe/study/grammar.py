@@ -20,6 +20,12 @@ MOST_RUNS: Final = 10**9
 
 _QUANTITY: Final = {"type": ["number", "string"]}
 _PAIR: Final = {"type": "array", "items": _QUANTITY, "minItems": 2, "maxItems": 2}
+_BOUNDS: Final = {
+    "type": "array",
+    "items": {"anyOf": [_QUANTITY, {"type": "array", "items": _QUANTITY, "minItems": 1}]},
+    "minItems": 2,
+    "maxItems": 2,
+}
 
 
 def _quantity(value: Any) -> Any:
@@ -32,6 +38,15 @@ def _pair(value: Any) -> Any:
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError(f"expected two numbers, for example [0.8, 1.25], found {shown(value)}")
     return tuple(_quantity(item) for item in value)
+
+
+def _bounds(value: Any) -> Any:
+    """Two numbers, or two lists of numbers, one for each element."""
+    if not isinstance(value, list) or len(value) != 2 or not any(isinstance(item, list) for item in value):
+        return _pair(value)
+    if not all(isinstance(item, list) for item in value) or len(value[0]) != len(value[1]) or not value[0]:
+        raise ValueError(f"expected two lists of one length, for example [[1, 2], [3, 4]], found {shown(value)}")
+    return tuple(tuple(map(_quantity, item)) for item in value)
 
 
 def _factors(value: Any) -> Any:
@@ -50,6 +65,11 @@ def _maps(value: Any) -> Any:
 
 Quantity: TypeAlias = Annotated[float | str, BeforeValidator(_quantity), WithJsonSchema(_QUANTITY)]
 Pair: TypeAlias = Annotated[tuple[float | str, float | str], BeforeValidator(_pair), WithJsonSchema(_PAIR)]
+Bounds: TypeAlias = Annotated[
+    tuple[float | str | tuple[float | str, ...], float | str | tuple[float | str, ...]],
+    BeforeValidator(_bounds),
+    WithJsonSchema(_BOUNDS),
+]
 Labels: TypeAlias = Annotated[
     tuple[str, ...],
     BeforeValidator(_labels),
@@ -60,7 +80,7 @@ Labels: TypeAlias = Annotated[
 KINDS: Final = ("uniform", "log", "normal")
 _DRAWN: Final = {
     "type": "object",
-    "properties": dict.fromkeys((*KINDS, "clip"), _PAIR),
+    "properties": {**dict.fromkeys((*KINDS, "clip"), _PAIR), "uniform": _BOUNDS},
     "additionalProperties": False,
     "minProperties": 1,
 }
@@ -69,7 +89,9 @@ _DRAWN: Final = {
 class Distribution(Section):
     """Distribution of a number; one of three kinds."""
 
-    uniform: Pair | None = Field(None, description="uniform between two bounds")
+    uniform: Bounds | None = Field(
+        None, description="uniform between two bounds; with per: element, each may be a list with one for each element"
+    )
     log: Pair | None = Field(None, description="log-uniform between two bounds above zero")
     normal: Pair | None = Field(None, description="mean and standard deviation")
     clip: Pair | None = Field(None, description="truncates the normal distribution to these bounds")
@@ -97,7 +119,7 @@ class Distribution(Section):
 Factors: TypeAlias = Annotated[
     Distribution | None,
     BeforeValidator(_factors),
-    WithJsonSchema({"anyOf": [_PAIR, _DRAWN]}),
+    WithJsonSchema({"anyOf": [_BOUNDS, _DRAWN]}),
 ]
 """A distribution of factors or differences, or the two bounds of a uniform one."""
 

@@ -30,7 +30,7 @@ def identity_of(study: Study) -> dict[str, Any]:
             "how": factor.how,
             "unit": factor.unit,
             "elements": factor.elements,
-            "spread": _spread(factor.spread),
+            "spread": list(map(_spread, factor.each)) if factor.each else _spread(factor.spread),
         }
         for factor in study.factors
     }

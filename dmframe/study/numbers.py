@@ -75,9 +75,9 @@ def span(low: float, high: float, unit: str) -> str:
     return f"{low:.5g} to {high:.5g} {unit}".rstrip()
 
 
-def distribution(factor: Factor) -> str:
-    """Distribution of a sampled or searched quantity as text."""
-    spread, unit = factor.spread, factor.unit
+def distribution(factor: Factor, element: int = 0) -> str:
+    """Distribution of a sampled or searched quantity as text; with bounds of its own for each, of an element."""
+    spread, unit = factor.each[element] if factor.each else factor.spread, factor.unit
     if spread is None:
         return ""
     what = {"value": "", "scale": "times the graph's own value, ", "shift": "added to the graph's own value, "}

@@ -203,9 +203,8 @@ class Study:
         points = design.points(first, int(samples.max(initial=first - 1)) + 1)[samples - first]
         found = dict[str, np.ndarray]()
         for factor in self.factors:
-            for name in factor.columns:
-                assert factor.spread is not None  # only factors of a grid have none
-                found[name] = factor.spread.at(points[:, design.names.index(name)])
+            for name, spread in zip(factor.columns, factor.spreads, strict=True):
+                found[name] = spread.at(points[:, design.names.index(name)])
         return found
 
     def values(self, point: int, first: int, stop: int) -> dict[str, np.ndarray]:

@@ -27,6 +27,8 @@ TEXT = "study"
 """Name of a study without a file."""
 KEPT = "study.yaml"
 """The study's file in a folder of results."""
+RUNS = 100
+"""Robots of the study of a graph's file."""
 
 
 def load_study(
@@ -41,7 +43,8 @@ def load_study(
     Parameters
     ----------
     source
-        A path; a text of more than one line; a dictionary with the file's content; a `Study` is returned unchanged.
+        A path; a text of more than one line; a dictionary with the file's content; a `Study` is returned unchanged. A
+        graph's file with the section ``uncertain`` is a study of `RUNS` robots in its intervals.
     runs, seed
         Replace those of the section ``sample``.
     overrides
@@ -67,6 +70,11 @@ def load_study(
     folder = path.parent if path is not None else Path()
     bases, axes, more = _graphs(file, document, folder, overrides)
     faults += more
+    if bases and file.sample.runs > 1 and not file.sample.variations:
+        fixed = [*file.set, *(override.partition("=")[0] for override in overrides)]
+        fixed += [label for axis in axes for label in axis.labels]
+        document = _with_uncertain(document, bases[""], fixed)
+        text, file = _written(document.data), StudyFile.model_validate(document.data)
     if bases:
         axes, more = _in_graphs(bases, axes)
         faults += more
@@ -100,7 +108,30 @@ def _read(source: Any) -> tuple[Document, str, Path | None]:
         found = type(source).__name__
         raise ValueFault(f"load_study: expected a study's path, its text or a dictionary, found {found}")
     path = expanded(source)
-    return read_file(path, STUDY), path.read_text(encoding="utf-8"), path
+    document = read_file(path, STUDY)
+    if is_graph(document) and document.data.get("uncertain"):
+        data = {"dmframe-study": 1, "graph": path.name, "sample": {"runs": RUNS}}
+        return document_of(data, path.name), _written(data), path
+    return document, path.read_text(encoding="utf-8"), path
+
+
+def is_graph(document: Document) -> bool:
+    """True for a graph's file in place of a study's."""
+    return "dmframe" in document.data and "dmframe-study" not in document.data
+
+
+def _with_uncertain(document: Document, graph: Graph, fixed: Sequence[str]) -> Document:
+    """The study with what the graph's section `uncertain` leaves open in place of its empty `sample`.
+
+    Each element is drawn uniformly from its interval, independent of the others; labels that the study sets are not.
+    """
+    drawn = dict[str, Any]()
+    for label, own in graph.intervals().items():
+        ends = [[float(each.lower) for each in own], [float(each.upper) for each in own]]
+        if label in fixed or ends[0] == ends[1]:
+            continue
+        drawn[label] = {"uniform": ends, "per": "element"} if len(own) > 1 else {"uniform": [ends[0][0], ends[1][0]]}
+    return replace(document, data={**document.data, "sample": {**document.data["sample"], **drawn}})
 
 
 def _written(data: Mapping[str, Any]) -> str:
@@ -115,9 +146,11 @@ def _written(data: Mapping[str, Any]) -> str:
 def _checked(document: Document) -> tuple[StudyFile, list[DmframeError]]:
     """Validate the file against the grammar, and find unknown keys; names of parameters are checked later."""
     faults, data = list[DmframeError](), dict(document.data)
-    if "dmframe" in data and "dmframe-study" not in data:
-        name = Path(document.name).name
-        raise ValueFault(f"{document.name}: expected a study, found a graph; write a study with the key graph: {name}")
+    if is_graph(document):
+        raise ValueFault(
+            f"{document.name}: expected a study, found a graph without a section uncertain; write a study with the key "
+            f"graph: {Path(document.name).name}"
+        )
     for section in ("sample", "tune"):
         found = document.data.get(section)
         entries = found if isinstance(found, dict) else {}

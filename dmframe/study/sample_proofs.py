@@ -18,7 +18,7 @@ from dmframe.certify import Verdict
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
 from dmframe.certify.over import NEEDED, failing_of
-from dmframe.certify.parameter_margins import Intervals, ParameterMargin, claims_alike, parameter_margins
+from dmframe.certify.parameter_margins import Intervals, ParameterMargin, parameter_margins, same_claims
 from dmframe.common.errors import DmframeError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
@@ -178,7 +178,7 @@ def _only_numbers_differ(
         if not np.array_equal(new.value.ravel(order="F"), wanted):
             return False
     blocks = dict.fromkeys(label.partition(".")[0] for label in written)
-    return all(claims_alike(claim, changed, block) for block in blocks)
+    return all(same_claims(claim, changed, block) for block in blocks)
 
 
 def _in_loop_layout(diagram: Diagram, label: str, values: np.ndarray) -> np.ndarray:

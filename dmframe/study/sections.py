@@ -349,7 +349,7 @@ def scope(study: Study) -> str:
 
 def _design(t: ReportData) -> Iterator[Part]:
     study = t.found.results.study
-    drawn = {name: distribution(factor) for factor in study.factors for name in factor.columns}
+    drawn = {name: distribution(factor, k) for factor in study.factors for k, name in enumerate(factor.columns)}
     rows = list[list[Cell]]()
     for column in study.varied:
         how = drawn.get(column.name, "")

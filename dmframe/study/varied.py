@@ -123,11 +123,13 @@ class Factor:
     how
         A drawn number is the parameter's value, a factor of the graph's own value, or a difference from it.
     spread
-        Distribution; None if a grid lists its values.
+        Distribution; None if a grid lists its values. If `each` is given, one that contains all of them.
     elements
         Number of draws, one per element of the parameter; None for one draw for all elements.
     unit
         Unit of the drawn numbers.
+    each
+        Distributions of the elements if they differ.
     """
 
     name: str
@@ -136,11 +138,17 @@ class Factor:
     spread: Spread | None
     elements: int | None
     unit: str
+    each: tuple[Spread, ...] = ()
 
     @property
     def columns(self) -> Sequence[str]:
         """Columns of the table: one, or one per element."""
         return columns_of(self.name, self.elements)
+
+    @property
+    def spreads(self) -> Sequence[Spread]:
+        """Distributions of the columns; none for a grid's."""
+        return self.each or [self.spread for _ in self.columns if self.spread is not None]
 
     def put(self, values: dict[str, np.ndarray], drawn: np.ndarray, graph: Graph) -> None:
         """Apply (N, columns) drawn numbers to `values`, rows by label; missing labels start from the graph's values."""
@@ -201,7 +209,11 @@ def factor(name: str, variation: Variation, graph: Graph, diagram: Callable[[], 
     spread = spread_of(drawn, unit, (kind,) if how != "value" else ())
     for each in targets:
         _check_target(each, how, spread)
-    return Factor(name, labels, how, spread, _elements(name, variation, targets, diagram), unit)
+    elements, separate = _elements(name, variation, targets, diagram), each_of(drawn, unit)
+    if separate and len(separate) != elements:
+        own = "no key per: element" if elements is None else f"{elements} elements"
+        raise ValueFault(f"expected bounds for each element, found {len(separate)}, and {own}", path=(kind,))
+    return Factor(name, labels, how, spread, elements, unit, separate)
 
 
 def _unit(targets: Sequence[Target]) -> str:
@@ -210,6 +222,18 @@ def _unit(targets: Sequence[Target]) -> str:
         found = ", ".join(f"{each.label} [{each.unit}]" for each in targets)
         raise ValueFault(f"expected parameters of one unit, found {found}; scale them, or let each vary by itself")
     return units.pop()
+
+
+def each_of(given: Distribution, unit: str) -> tuple[Spread, ...]:
+    """Distributions of a parameter's elements if the file gives bounds for each; an element may have equal ones."""
+    if given.uniform is None or not isinstance(given.uniform[0], tuple):
+        return ()
+    ends = [[to_unit(value, unit) for value in side] for side in given.uniform if isinstance(side, tuple)]
+    for low, high in zip(*ends, strict=True):
+        if not low <= high:
+            text = f"uniform: expected two bounds, the lower one first, found {low:g} and {high:g}"
+            raise ValueFault(text, path=("uniform",))
+    return tuple(Spread("uniform", low, high, low, high) for low, high in zip(*ends, strict=True))
 
 
 def spread_of(given: Distribution, unit: str, path: tuple[str, ...] = ()) -> Spread:
@@ -228,6 +252,11 @@ def spread_of(given: Distribution, unit: str, path: tuple[str, ...] = ()) -> Spr
     def refuse(key: str, expected: str) -> ValueFault:
         return ValueFault(f"{key}: {expected}", path=(*path, key))
 
+    if each := each_of(given, unit):
+        if not any(own.a < own.b for own in each):
+            raise refuse(kind, "expected bounds of which at least one pair differs")
+        low, high = min(own.a for own in each), max(own.b for own in each)
+        return Spread("uniform", low, high, low, high)
     a, b = pair(kind)
     if kind == "normal":
         if not b > 0:
@@ -305,6 +334,10 @@ def factors_of(
                 fault.path = fault.path if fault.location else (section, name, *fault.path)
                 fault.text = f"{section}.{name}: {fault.text.removeprefix(f'{name}: ')}"
                 faults.append(fault)
+            continue
+        if found[-1].each and section == "tune":
+            text = f"{section}.{name}: expected two bounds for all elements, found lists"
+            faults.append(ValueFault(text, path=(section, name)))
     return found, faults
 
 

@@ -79,7 +79,7 @@ def test_a_peer_that_agrees_counts_with_its_ratio() -> None:
         (np.zeros((2, 2)), "2 samples for 3"),
     ],
 )
-def test_a_peer_that_disagrees_does_not_count_and_the_table_says_so(found: Array, why: str) -> None:
+def test_a_peer_that_disagrees_does_not_count_and_the_table_reports_it(found: Array, why: str) -> None:
     whole = section(found)
     row = by_name(whole)["theirs"]
     assert (row.status, row.ratio) == ("disagrees", None)
@@ -100,7 +100,7 @@ def test_a_peer_that_fails_is_reported_with_its_last_words() -> None:
     assert (row.status, row.agreement, row.cells()[2]) == ("failed", "ValueError: no such block", "failed")
 
 
-def test_a_measurement_that_fails_or_takes_too_long_says_so() -> None:
+def test_a_measurement_that_fails_or_takes_too_long_is_reported() -> None:
     with pytest.raises(Failed, match="has no attribute 'nothing_like_it'"):
         measure("table:nothing_like_it", 60)
     with pytest.raises(Failed, match=r"no result within 0\.01 s"):

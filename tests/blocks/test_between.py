@@ -91,7 +91,7 @@ def test_velocities_are_differences_over_a_sample_and_may_be_filtered() -> None:
                 np.testing.assert_allclose(found["encoder.dq_m"], filtered(differences, 0.03), atol=1e-9)
 
 
-def test_a_makers_differences_are_over_its_own_window() -> None:
+def test_a_manufacturers_differences_are_over_its_own_window() -> None:
     found, window = seen_by(window=0.008), 0.008
     wanted, twice = over(found["arm.q"], window), over(found["arm.q"], 2 * window)
     off, other = (np.max(np.abs(found["encoder.dq_m"] - each)[10:]) for each in (wanted, twice))
@@ -122,7 +122,7 @@ def test_the_tool_is_seen_through_the_encoders_and_through_no_one_elses_lengths(
     assert "encoder.x_m" not in sensor.run().recording.outputs
 
 
-def test_controllers_read_the_encoder_even_where_a_wire_says_the_arm_and_all_others_the_truth() -> None:
+def test_controllers_read_the_encoder_even_where_a_wire_states_the_arm_and_all_others_the_truth() -> None:
     data: Any = {**PLAIN, "blocks": {**PLAIN["blocks"], "encoder": {"type": "encoder", "step": 0.01}}}  # type: ignore[dict-item]
     for wires in ({}, {"task.q": "arm.q"}):
         made = dm.load({**data, "wires": wires}, name="between")
@@ -173,7 +173,7 @@ def chances(way: Mapping[str, Any], ticks: int) -> tuple[dict[str, Array], Array
     return {**found.states, **found.outputs}, (drawn + 1) / 2
 
 
-def test_late_and_lost_commands_come_as_the_seed_says() -> None:
+def test_late_and_lost_commands_come_as_given_by_the_seed() -> None:
     found, chance = chances({"samples": 2, "late": 0.3, "lost": 0.1}, 151)
     sent, arrived = found["command.dq_c"], found["way.dq_c_late"]
     due, before, last = delayed(sent, 2), delayed(sent, 3), np.zeros(2)
@@ -297,7 +297,7 @@ def test_joints_stick_at_slow_motion_and_rub_more_in_one_direction() -> None:
     assert np.max(np.abs(taken[0])) < 1e-9  # at rest
 
 
-def test_a_stop_pushes_back_as_hunt_and_crossley_say_and_only_warns_without_stiffness() -> None:
+def test_a_stop_pushes_back_as_in_hunt_and_crossley_and_only_warns_without_stiffness() -> None:
     stop = {"type": "joint_stops", "lower": [-1, -1], "upper": [0.9, 1.2]}
     soft = {**stop, "stiffness": [4000, 2000], "damping": [900, 400]}
     free, held = (graph(stops=each).run(engine="interpreted") for each in (stop, soft))
@@ -330,7 +330,7 @@ def loaded(mass: float) -> Any:
 
 
 @pytest.mark.parametrize(("t", "mass"), [(0.9, 0.0), (1.0, 2.5), (1.9, 2.5), (2.1, 0.5)])
-def test_a_load_moves_with_the_robot_as_pinocchio_says(t: float, mass: float) -> None:
+def test_a_load_moves_with_the_robot_as_in_pinocchio(t: float, mass: float) -> None:
     values = {"viscous": 0.0, "K": [2.0, 3.0], "maker_gravity": 0.4}
     block = find_block("loaded_manipulator")(payload=[2.5, 0.5], payload_at=["1 s", "2 s"], **values)
     q, dq, u = np.array([0.4, -0.9]), np.array([1.1, -0.7]), np.array([3.0, -1.0])

@@ -110,7 +110,7 @@ def residual(diagram: Diagram, flipped: str = "", kappa: float = KAPPA) -> tuple
 
 
 @pytest.mark.parametrize(("robot", "task", "servo"), COMBINATIONS)
-def test_v_falls_by_exactly_what_the_blocks_say(robot: str, task: str, servo: str, tmp_path: Path) -> None:
+def test_v_falls_by_exactly_what_the_blocks_state(robot: str, task: str, servo: str, tmp_path: Path) -> None:
     diagram = build(robot, task, servo, tmp_path)
     for kappa in (KAPPA, 2.9):
         left, size = residual(diagram, kappa=kappa)

@@ -75,7 +75,7 @@ def test_a_delay_that_is_not_the_plants_fails_with_both_numbers(case: int) -> No
     found = verdict(delay, **between)
     assert found.outcome == "not_applicable"
     numbers = f"a delay of {delay} samples, and the plant delays commands by {there} and measurements by {back}"
-    assert found.reason.startswith(f"the identity holds, but a condition fails: inverse: its rows take {numbers}")
+    assert found.reason.startswith(f"the identity holds, but a condition fails: inverse: its rows use {numbers}")
 
 
 def test_a_command_that_is_none_of_the_blocks_own_is_left_to_an_assumption(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -223,7 +223,7 @@ def test_a_force_that_is_not_cancelled_is_refuted(factor: float) -> None:
     assert without(equations=with_torque(factor)).outcome == "refuted"
 
 
-def test_a_force_that_the_robot_does_not_feel_as_stated_is_refuted() -> None:
+def test_a_force_that_does_not_act_on_the_robot_as_stated_is_refuted() -> None:
     graph = small()
     verdict = verdict_with(graph, "wall", positive=lambda value: value)
     assert verdict.outcome == "proved"  # a wall that pulls too is another environment, and V does not weigh it

@@ -61,7 +61,7 @@ def test_a_delay_that_changes_at_random_is_refused(clock: str, samples: int) -> 
                 _ = found.whole
 
 
-def test_a_delay_longer_than_the_blocks_know_is_refused() -> None:
+def test_a_delay_longer_than_the_blocks_support_is_refused() -> None:
     assert "longer than 2 samples" in fit(run("ur10_slow_kinematic", "90 ms", Line(samples=3))).refused
 
 

@@ -213,7 +213,7 @@ def test_projected_weights_that_step_away_are_refuted(monkeypatch: pytest.Monkey
     found = verify(dm.load(aggregated(weighting="projection")).diagram)
     assert found.outcome == "refuted"
     assert found.refutation is not None
-    assert found.refutation.says == "mix: what weights becomes"
+    assert found.refutation.statement == "mix: next value of weights"
 
 
 def test_the_loop_is_better_than_with_the_model_alone_and_with_the_observer_alone() -> None:

@@ -27,7 +27,7 @@ def test_of_an_integrator_with_a_constant_disturbance_both_errors_have_the_doubl
     assert np.linalg.eigvals(A) == pytest.approx([-omega, -omega], abs=1e-6)
 
 
-def test_its_error_stands_between_the_kinematic_command_and_the_tuned_law() -> None:
+def test_its_error_is_between_the_kinematic_command_and_the_tuned_law() -> None:
     found = {name: dm.load(name).run().error for name in ("ur10_fast_eso", "ur10_fast_kinematic", "ur10_fast_tuned")}
     rms = {name: error.rms_final for name, error in found.items() if error is not None}
     assert rms["ur10_fast_eso"] == pytest.approx(1.28e-3, rel=0.01)

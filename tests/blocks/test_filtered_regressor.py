@@ -84,7 +84,7 @@ def test_with_the_true_estimates_the_prediction_error_stays_zero() -> None:
         ("known_tracking_composite_pi", ("dynamics.leak=0.1", "inverse.dead_zone=0.01")),
     ],
 )
-def test_the_filters_transient_is_stored_and_spent_so_that_nothing_is_left_out(
+def test_the_filters_transient_is_stored_and_dissipated_so_that_nothing_is_left_out(
     name: str, overrides: tuple[str, ...]
 ) -> None:
     verdict = proof(name, *overrides)

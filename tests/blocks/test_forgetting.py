@@ -116,7 +116,7 @@ def test_a_fault_in_the_law_is_refuted(method: str, fault: Any, monkeypatch: pyt
     assert "geometry" in verdict.refutation.blame
 
 
-def test_a_memory_that_does_not_move_as_its_term_says_is_refuted_though_dv_dt_would_not_notice(
+def test_a_memory_that_does_not_move_as_its_term_states_is_refuted_though_dv_dt_would_not_notice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """G' = 0 with G = 0 for ever: V and dV/dt are true without it, and G >= 0 would hold for another reason."""
@@ -151,7 +151,7 @@ def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch:
     monkeypatch.setattr(AdaptiveKinematics, "fits", unlearning)
     verdict = proof(TOOL)
     assert verdict.outcome == "not_applicable"
-    assert "weight of what G gathers for |a_k_hat - tool(a_k)|_G^2 in V >= 0" in verdict.reason
+    assert "weight of the rate of G for |a_k_hat - tool(a_k)|_G^2 in V >= 0" in verdict.reason
 
 
 def test_v_falls_along_a_run_in_continuous_time() -> None:
@@ -175,7 +175,7 @@ def test_what_is_gathered_is_the_integral_of_what_was_seen() -> None:
     np.testing.assert_allclose(G, expected[:, None, None] * np.eye(3), atol=1e-9)
 
 
-def test_the_tool_is_learnt_at_the_rate_of_the_fit_and_not_of_the_gradient() -> None:
+def test_the_tool_is_estimated_at_the_rate_of_the_fit_and_not_of_the_gradient() -> None:
     fitted, gradient = run_of(30.0, TOOL), run_of(30.0, TOOL, "geometry.R=null", "geometry.forgetting=null")
     assert tool_error(fitted)[-1] < 1e-3 * tool_error(fitted)[0]
     assert tool_error(gradient)[-1] > 0.3 * tool_error(gradient)[0]

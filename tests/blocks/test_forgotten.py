@@ -114,7 +114,7 @@ BODY = {"mass": [1], "at": [0]}
         ),
     ],
 )
-def test_numbers_of_another_shape_and_directions_that_are_none_are_refused(
+def test_numbers_of_another_shape_and_directions_that_are_invalid_are_refused(
     kind: str, given: dict[str, Any], text: str
 ) -> None:
     with pytest.raises(DmframeError) as caught:
@@ -133,7 +133,7 @@ def test_a_direction_of_any_other_length_is_one(length: float) -> None:
     np.testing.assert_allclose(found["f_ext"], other.outputs["f_ext"], rtol=1e-12)
 
 
-def test_a_load_that_the_controller_does_not_know_is_no_part_of_its_export(tmp_path: Path) -> None:
+def test_a_load_unknown_to_the_controller_is_no_part_of_its_export(tmp_path: Path) -> None:
     graph(LOAD).export(tmp_path / "out", "c")
     (header,) = (path.read_text() for path in (tmp_path / "out").glob("*.h") if path.stem != "samples")
     assert "x_d" in header
@@ -143,7 +143,7 @@ def test_a_load_that_the_controller_does_not_know_is_no_part_of_its_export(tmp_p
 @pytest.mark.parametrize(
     ("change", "reads"), [(LOAD, "load.a_load"), ({"arm.payload": [5], "arm.payload_at": [0]}, "the time")]
 )
-def test_a_robot_that_moves_by_more_than_its_commands_says_by_what(
+def test_a_robot_that_moves_by_more_than_its_commands_states_by_what(
     change: dict[str, Any], reads: str, tmp_path: Path
 ) -> None:
     with pytest.raises(DmframeError, match=rf"its commands, found one that reads {reads};"):

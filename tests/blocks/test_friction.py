@@ -63,7 +63,7 @@ def test_a_friction_without_a_column_is_blamed_by_name(name: str, overrides: lis
         ["model.friction=[viscous, coulomb]"],
     ],
 )
-def test_a_column_for_each_friction_is_enough_and_one_too_many_does_no_harm(overrides: list[str]) -> None:
+def test_a_column_for_each_friction_is_enough_and_one_too_many_is_harmless(overrides: list[str]) -> None:
     assert proof("arm2_joint", *overrides).outcome == "proved"
 
 
@@ -85,7 +85,7 @@ def test_without_a_friction_to_blame_the_reason_is_the_usual_one() -> None:
     assert "to blame: dynamics" in verdict.reason
 
 
-def test_the_command_line_says_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_line_states_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["dmframe", "verify", "arm2_joint", "--set", "arm.coulomb=1"])
     with contextlib.suppress(SystemExit):
         main()

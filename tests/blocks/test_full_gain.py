@@ -227,11 +227,11 @@ def test_a_batch_takes_matrices_and_priors() -> None:
 @pytest.mark.parametrize(
     ("overrides", "value", "text"),
     [
-        ([], np.eye(22), "values.dynamics.Gamma: expected a diagonal, as the diagram has had; a full matrix takes"),
+        ([], np.eye(22), "values.dynamics.Gamma: expected a diagonal, as in the diagram; a full matrix requires"),
         (
             [f"dynamics.Gamma={np.eye(22).tolist()}"],
             np.eye(22) + 0.01,
-            "values.dynamics.Gamma: expected zeros where the matrix has had them; with others it takes another",
+            "values.dynamics.Gamma: expected the zeros of the diagram's matrix; other zeros require another",
         ),
         ([], np.eye(3), "dynamics.Gamma: expected [22, 22] numbers, found [3, 3]"),
     ],
@@ -254,14 +254,14 @@ def test_values_that_would_take_another_diagram_are_refused(overrides: list[str]
         ),
     ],
 )
-def test_a_value_that_is_no_gain_is_refused_with_its_place(value: str, text: str) -> None:
+def test_a_value_that_is_not_a_gain_is_refused_with_its_place(value: str, text: str) -> None:
     with pytest.raises(DmframeError) as fault:
         _ = Graph.read("arm2_joint", [f"dynamics.Gamma={value}"]).diagram
     assert str(fault.value).startswith("--set dynamics.Gamma=")
     assert text in str(fault.value)
 
 
-def test_editors_know_the_forms_of_a_gain() -> None:
+def test_the_schema_contains_the_forms_of_a_gain() -> None:
     schema = json_schema()
     gain = Draft202012Validator(schema["$defs"]["block_dynamic_compensator"]["properties"]["Gamma"])
     for value in (2, "2", [1, 2], [[2, 1], [1, 2]], {"inverse_of": "model"}, {"inverse_of": "model", "scale": 0.1}):
@@ -297,7 +297,7 @@ def test_a_prior_has_a_block_a_link_and_one_number_for_each_friction() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-15)
 
 
-def test_the_gravity_apart_varies_like_the_masses_and_by_itself() -> None:
+def test_the_separate_gravity_varies_like_the_masses_and_by_itself() -> None:
     found = prior_of("model.gravity=apart")
     assert found.shape == (30, 30)
     for k in range(2):
@@ -336,7 +336,7 @@ def learnt(*overrides: str) -> tuple[float, float]:
     return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(wrong**2) / np.mean((Y @ true) ** 2)))
 
 
-def test_with_a_prior_what_is_learnt_on_one_path_is_less_wrong_on_others() -> None:
+def test_with_a_prior_what_is_estimated_on_one_path_is_less_wrong_on_others() -> None:
     """From a model that is 30 % too light; each prior also tracks better than the scalar next to it."""
     for scale, scalar in ((1, 10), (10, 300)):
         error, elsewhere = learnt(f"dynamics.Gamma={{inverse_of: model, scale: {scale}}}")

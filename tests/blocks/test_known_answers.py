@@ -377,7 +377,7 @@ def test_adaptive_kinematics_are_eqs_4_and_13_of_a_planar_arm_with_wrong_lengths
     close(found["d(a_k_hat)"], 2 * (Y_k.T @ e_k)[part])
 
 
-def test_the_kinematics_are_fitted_to_the_position_by_least_squares_that_forget() -> None:
+def test_the_kinematics_are_fitted_to_the_position_by_least_squares_with_forgetting() -> None:
     robot = load("arm2")
     true = np.array([x for joint in robot.joints for x in joint.translation] + list(robot.tool), dtype=float)
     wrong = true + np.linspace(0.02, 0.1, 9)
@@ -431,7 +431,7 @@ def test_indirect_adaptation_is_eqs_54_to_58() -> None:
     close(found["d(a_d_hat)"], [-1, -8, -4])
 
 
-def test_direct_adaptation_sees_the_error_through_the_estimated_mass_matrix() -> None:
+def test_direct_adaptation_uses_the_error_through_the_estimated_mass_matrix() -> None:
     M_hat = np.array([[3.0, 1], [1, 2]])
     numbers = {"Y_d": Y_D, "M_hat": M_hat, "s_star": [1, 2], "a_d_hat": [1, 0, 2]}
     found = answer("direct_adaptation", {"Gamma": [1, 2, 4]}, **numbers)

@@ -95,7 +95,7 @@ def test_the_resting_error_is_the_equilibriums_closed_form() -> None:
     assert np.linalg.norm(closed) > 0.15  # [rad]: no rounding
 
 
-def test_the_identity_is_proved_and_the_error_is_bounded_as_v_says() -> None:
+def test_the_identity_is_proved_and_the_error_is_bounded_as_v_states() -> None:
     _, run, verdict = done()
     assert verdict.outcome == "proved"
     # V(0) of eq. (18) without the kinematics: at the goal, at rest, every error is that of an estimate

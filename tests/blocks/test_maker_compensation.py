@@ -45,7 +45,7 @@ def arm2() -> Diagram:
     ).diagram
 
 
-def test_what_the_maker_compensates_acts_as_a_torque_on_the_textbooks_arm() -> None:
+def test_what_the_manufacturer_compensates_acts_as_a_torque_on_the_textbooks_arm() -> None:
     u = np.array([3.0, -1.0])
     ddq, g, B, share = outputs(arm2(), "arm", ["ddq", "g", "B", "g_share"], {"q": Q, "dq": DQ, "u": u})
     torque = u - np.array([1, 0.5]) * DQ - np.array([2, 3]) * np.tanh(DQ / 0.005)
@@ -57,7 +57,7 @@ def test_what_the_maker_compensates_acts_as_a_torque_on_the_textbooks_arm() -> N
     assert share == pytest.approx(0.3)
 
 
-def test_apart_the_regressor_has_columns_for_motion_and_for_weight() -> None:
+def test_with_separate_gravity_the_regressor_has_columns_for_motion_and_for_weight() -> None:
     diagram = Graph.read("arm2_joint", ["model.gravity=apart", "model.friction=[]"]).diagram
     dq_ref, ddq_ref = np.array([0.3, 0.8]), np.array([-1.0, 2.0])
     (Y_d,) = outputs(diagram, "model", ["Y_d"], {"q": Q, "dq": DQ, "dq_ref": dq_ref, "ddq_ref": ddq_ref})
@@ -68,7 +68,7 @@ def test_apart_the_regressor_has_columns_for_motion_and_for_weight() -> None:
     np.testing.assert_allclose(Y_d[:, 20:] @ inertia[:, :4].ravel(), closed_form.gravity_torque(Q), rtol=1e-11)
 
 
-def test_the_outer_loop_that_weighs_gravity_apart_is_proved_whatever_the_servo_compensates() -> None:
+def test_the_outer_loop_that_weighs_gravity_separately_is_proved_whatever_the_servo_compensates() -> None:
     for share in (0.95, 1.2):
         assert proof([f"arm.maker_gravity={share}"]).outcome == "proved", share
 
@@ -89,7 +89,7 @@ def test_compensated_friction_alone_needs_nothing_of_the_outer_loop() -> None:
     assert proof(["model.gravity=together", "arm.maker_gravity=0", "arm.maker_viscous=[5, 5, 2]"]).outcome == "proved"
 
 
-def test_a_maker_who_compensates_more_friction_than_servo_and_joints_have_is_caught_by_a_condition() -> None:
+def test_a_manufacturer_that_compensates_more_friction_than_servo_and_joints_have_is_caught_by_a_condition() -> None:
     verdict = proof(["arm.maker_viscous=[1000, 4, 1.6]"])
     assert verdict.outcome == "not_applicable"
     assert "a condition fails" in verdict.reason
@@ -112,7 +112,7 @@ def test_the_adaptive_loop_converges_over_the_compensating_servo() -> None:
     assert rms[1] < 0.4 * rms[0]
 
 
-def test_a_nominal_start_apart_has_the_weights_of_the_robots_model_too() -> None:
+def test_a_separate_nominal_start_has_the_weights_of_the_robots_model_too() -> None:
     diagram = Graph.read("arm2_joint", ["model.gravity=apart", "model.friction=[]", "model.nominal=0.8"]).diagram
     (nominal,) = outputs(diagram, "model", ["a_d_nominal"], {"q": Q})
     inertia = 0.8 * np.array(diagram.robot.inertia, dtype=float).reshape(2, 10)

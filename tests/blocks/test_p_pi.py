@@ -47,7 +47,7 @@ def test_with_all_of_the_feed_forward_the_cascade_is_a_pid_servo(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("f", "filtered", "lag"), [(1.0, 0.0, 0.0), (0.6, 0.002, 0.001), (0.0, 0.0, 0.003)])
-def test_the_servo_moves_the_textbooks_arm_as_scipy_says(f: float, filtered: float, lag: float, tmp_path: Path) -> None:
+def test_the_servo_moves_the_textbooks_arm_as_in_scipy(f: float, filtered: float, lag: float, tmp_path: Path) -> None:
     """The commands of a run, applied by an integrator and a model that share no equation with it."""
     options = f", feed_forward: {f}"
     options += f", velocity_filter: {filtered} s" if filtered else ""

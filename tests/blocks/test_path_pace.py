@@ -72,7 +72,7 @@ def test_a_path_that_waits_is_followed_and_one_that_does_not_is_not() -> None:
 
 
 @pytest.mark.parametrize("delay", [0, 2, 4])
-def test_what_it_says_of_its_time_to_come_is_what_comes(delay: int) -> None:
+def test_what_it_states_of_its_time_to_come_is_what_comes(delay: int) -> None:
     law = {"type": "sampled_inverse", "w_0": 0.02} if delay > 2 else None  # the observer has shorter delays
     made = graph(law, delay=delay, pace={**PACE, "delay": delay})
     found = made.run("6 s", progress=False, engine="interpreted").recording
@@ -96,7 +96,7 @@ def test_the_laws_proof_stays_as_it_is() -> None:
     assert all(control.refuted for control in found.controls)
 
 
-def test_a_clock_that_does_not_say_what_comes_is_refused() -> None:
+def test_a_clock_that_does_not_state_what_comes_is_refused() -> None:
     text = graph(pace=PACE).text.replace("pace.t_path", "pace.pace")
     with pytest.raises(DmframeError, match=r"to have an output pace_1, the future pace, found none; see path_pace"):
         _ = dm.load(text).diagram

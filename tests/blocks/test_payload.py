@@ -157,7 +157,7 @@ def test_excitation_is_what_no_other_column_compensates() -> None:
     assert list(found > 0) == [False, True, False, True, False, False, True]
 
 
-def test_two_joints_feel_a_mass_by_the_difference_of_their_torques_and_a_single_one_never() -> None:
+def test_two_joints_determine_a_mass_by_the_difference_of_their_torques_and_a_single_one_never() -> None:
     """About a single joint, first moments and one moment of inertia are all that turns."""
     text = SMALL.replace("clock: continuous", "clock: 1 ms") + "  holds:    {type: payload_estimate}\n"
     alone = text.replace("arm2", "pendulum").replace("[0.5, 0.9]", "[0.5]").replace("[1, 2]", "[2]")
@@ -168,7 +168,7 @@ def test_two_joints_feel_a_mass_by_the_difference_of_their_torques_and_a_single_
     assert excitations[0][0] > 0.1
 
 
-def test_a_run_says_what_the_tool_holds_in_kilograms_and_metres() -> None:
+def test_a_run_states_what_the_tool_holds_in_kilograms_and_metres() -> None:
     mass, center = ran().shown
     assert mass.excitation is not None
     assert mass.excitation[0] > 1.0
@@ -184,7 +184,7 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
     assumed = " / ".join(item.text for item in verdict.assumptions)
     assert "the proof holds between two steps, each of which starts a new V" in assumed
     assert "load.a_load is the inertia of a rigid body: its pseudo-inertia is not negative" in assumed
-    assert "model (payload_regressor) knows exactly" in assumed
+    assert "model (payload_regressor) uses exact values of" in assumed
 
 
 def test_a_load_outside_the_box_of_its_estimate_is_reported() -> None:
@@ -196,7 +196,7 @@ def test_a_load_outside_the_box_of_its_estimate_is_reported() -> None:
 
 
 @pytest.mark.parametrize(("later", "reported"), [(1.0, False), (-1e-6, True), (np.nan, True)])
-def test_what_is_no_number_is_outside_too(later: float, reported: bool) -> None:
+def test_what_is_not_a_number_is_outside_too(later: float, reported: bool) -> None:
     loop = dm.load(SMALL).diagram.loop
     found = list(outside("dynamics.a_d_hat: true value inside the box", ca.if_else(loop.time > 60, later, 1), loop))
     assert bool(found) is reported
@@ -232,12 +232,12 @@ def proof(**blocks: AbstractBlock) -> Verdict:
     return verify(Diagram.build({**graph.blocks, **blocks}, graph.file.wires, graph.robot))
 
 
-def test_gravity_known_or_its_share_learnt_both_are_proved() -> None:
+def test_gravity_known_or_its_fraction_estimated_both_are_proved() -> None:
     assert proof().outcome == "proved"
     assert proof(model=PayloadRegressor(gravity="share")).outcome == "proved"
 
 
-def test_a_servo_that_carries_the_links_is_refuted_where_the_controller_takes_them_for_its_own() -> None:
+def test_a_servo_that_compensates_the_links_is_refuted_where_the_controller_takes_them_for_its_own() -> None:
     arm = small().blocks["arm"]
     carried = type(arm)(**{**arm.model_dump(exclude_none=True), "maker_gravity": 0.5})
     assert proof(arm=carried).outcome == "refuted"
@@ -276,12 +276,12 @@ def test_a_load_that_moves_between_its_steps_is_reported() -> None:
 
 def test_only_a_source_steps_and_only_a_controller_shows() -> None:
     for side, output, says in (
-        (Side.PLANT, Output("c", "", "m", shown="a place"), "c is shown, but it is no output of a controller"),
-        (Side.CONTROLLER, Output("m", "", "kg", steps=True), "m steps, but it is no output of a source"),
+        (Side.PLANT, Output("c", "", "m", shown="a place"), "c is shown, but is no controller output"),
+        (Side.CONTROLLER, Output("m", "", "kg", steps=True), "m steps, but is no source output"),
     ):
         members = {"side": side, "outputs": (output,), "equations": Ramp.equations, "__module__": __name__}
         found = type(Ramp)("Wrong", (AbstractBlock,), members).contract("w")
-        assert [fault.text for fault in found] == [f"w: declares that {says}; remove that"]
+        assert [fault.text for fault in found] == [f"w: declares that {says}; remove the declaration"]
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_only_a_source_steps_and_only_a_controller_shows() -> None:
         ({"mass": [0], "at": [0], "inertia": [[1, 0, 1, 0, 0, 1]]}, "expected rigid bodies, found mass 0 with inertia"),
     ],
 )
-def test_a_load_that_is_no_rigid_body_is_refused(load: dict[str, Any], says: str) -> None:
+def test_a_load_that_is_not_a_rigid_body_is_refused(load: dict[str, Any], says: str) -> None:
     with pytest.raises(DmframeError, match=says):
         Payload(**load)
 
@@ -306,7 +306,7 @@ def learning_all(load: str = "mass: [1, 0], at: [0.2, 0.6]", arm: str = "loaded_
 
 
 @pytest.mark.parametrize("gravity", ["together", "apart"])
-def test_columns_for_all_links_learn_a_load_too_and_that_is_proved_between_its_steps(gravity: str) -> None:
+def test_columns_for_all_links_estimate_a_load_too_and_that_is_proved_between_its_steps(gravity: str) -> None:
     verdict = learning_all().set({"model.gravity": gravity}).verify().verdict
     assert verdict.outcome == "proved", verdict.reason
     (said,) = [

@@ -52,7 +52,7 @@ P, Q, DP = (ca.SX.sym(name, 4) for name in ("p", "q", "dp"))
 OMEGA = 2 * (left(P) @ DP) / ca.sumsqr(P)
 
 
-def test_a_quaternion_of_any_length_but_zero_is_an_exactly_orthogonal_rotation_that_turns_as_it_says() -> None:
+def test_a_quaternion_of_any_length_but_zero_is_an_exactly_orthogonal_rotation_that_turns_as_it_states() -> None:
     R = rotation(P)
     assert is_zero(R.T @ R - ca.SX.eye(3))
     assert is_zero(ca.det(R) - 1)
@@ -99,7 +99,7 @@ def test_pose_tracking_is_its_law_with_pinocchios_logarithm_and_numpys_pseudo_in
     assert found["R_apart"] == pytest.approx(8 * np.sin(angle / 2) ** 2)
 
 
-def test_half_a_turn_away_the_reference_sees_no_error_and_near_there_it_leads_back() -> None:
+def test_half_a_turn_away_the_reference_has_no_error_and_near_there_it_leads_back() -> None:
     p_d, axis = np.array([1.0, 0, 0, 0]), np.array([0.6, 0, 0.8])
     there = error_of(pin.exp3(np.pi * axis), p_d)
     np.testing.assert_allclose(there["dq_r"], 0, atol=1e-14)
@@ -180,7 +180,7 @@ def test_a_spiral_keeps_to_its_ball_with_the_tool_at_right_angles_to_it() -> Non
         ),
     ],
 )
-def test_a_source_of_orientations_says_what_is_wrong(kind: str, given: dict[str, Any], text: str) -> None:
+def test_a_source_of_orientations_states_what_is_wrong(kind: str, given: dict[str, Any], text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         find_block(kind)(**given)
     assert text in str(caught.value)
@@ -251,7 +251,7 @@ OLD: dict[str, Any] = {
 
 
 @pytest.mark.parametrize(("changes", "borne"), [({}, True), (OLD, False)])
-def test_a_load_put_into_the_hand_behind_a_delay_is_borne_by_the_packaged_gains(
+def test_a_load_put_into_the_hand_behind_a_delay_is_tolerated_by_the_packaged_gains(
     changes: dict[str, Any], borne: bool
 ) -> None:
     real = {
@@ -385,7 +385,7 @@ def test_a_start_on_a_path_has_its_orientation_too(near: list[float] | None) -> 
         np.testing.assert_allclose(q, near, atol=0.2)
 
 
-def test_a_start_that_no_joints_reach_says_by_how_much_in_position_and_angle() -> None:
+def test_a_start_that_no_joints_reach_states_by_how_much_in_position_and_angle() -> None:
     graph = dm.load(CIRCLE).set({"path.center": [0.4, 0.45, 2.3]})
     reached = r"= \[0\.4, 0\.5, 2\.3\] with its orientation; the nearest pose is .* m and .* deg away"
     with pytest.raises(DmframeError, match=reached):

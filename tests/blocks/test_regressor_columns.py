@@ -43,7 +43,7 @@ def test_friction_and_bias_have_a_column_a_joint(columns):
         np.testing.assert_allclose(Y_d[f"tau_bias{i}"], unit)
 
 
-def test_masses_weigh_in_columns_of_their_own_where_gravity_is_apart(columns):
+def test_masses_weigh_in_columns_of_their_own_where_gravity_is_separate(columns):
     Y_d, _, motion = columns
     together = regressor().evaluate(motion, robot="arm2").outputs["Y_d"]
     still = regressor().evaluate({**motion, **dict.fromkeys(("dq", "dq_ref", "ddq_ref"), np.zeros(2))}, robot="arm2")

@@ -209,7 +209,7 @@ def at(block: Any, time: float, output: str) -> Array:
     return np.asarray(block.evaluate({"t": time}, robot=chain).outputs[output])
 
 
-def test_what_a_drawing_says_of_the_load_takes_its_error_out_of_v() -> None:
+def test_what_a_drawing_states_of_the_load_takes_its_error_out_of_v() -> None:
     """The truth itself is expected: of the load nothing is left to learn, and no reset can make V rise."""
     loads = {"mass": [2, 1], "at": [1, 2], "center": [[0, 0.1, 0], [0.1, 0, 0]]}
     gripper, payload = Gripper(**loads), Payload(**loads)

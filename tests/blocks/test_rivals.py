@@ -170,9 +170,9 @@ def test_a_delay_that_is_not_the_plants_fails(delay: int, line: int) -> None:
     graph["blocks"] |= {"line": {"type": "transport_delay", "samples": line}} if line else {}
     found = verify(dm.load(graph).diagram)
     assert found.outcome == "not_applicable"
-    assert f"its rows take a delay of {delay} samples, and the plant delays commands by {line}" in found.reason
+    assert f"its rows use a delay of {delay} samples, and the plant delays commands by {line}" in found.reason
     graph["blocks"]["inverse"]["delay"] = line  # as the plant's
-    (condition,) = [item for item in verify(dm.load(graph).diagram).conditions if "take a delay" in item.name]
+    (condition,) = [item for item in verify(dm.load(graph).diagram).conditions if "use a delay" in item.name]
     assert condition.holds
     assert str(condition.value) == "0.0"  # not -0.0
 
@@ -198,4 +198,4 @@ def test_a_step_in_the_wrong_direction_is_refuted(monkeypatch: pytest.MonkeyPatc
     found = verify(dm.load(repetitive()).diagram)
     assert found.outcome == "refuted", found.reason
     assert found.refutation is not None
-    assert found.refutation.says == "inverse: what theta becomes"
+    assert found.refutation.statement == "inverse: next value of theta"

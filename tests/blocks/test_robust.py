@@ -285,7 +285,7 @@ def test_in_continuous_time_a_ball_holds_its_estimate_on_the_rim() -> None:
     assert size.max() == pytest.approx(0.5, abs=1e-9)
 
 
-def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_states_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
     overrides = [
         "dynamics.leak=0.1",

@@ -140,7 +140,7 @@ def test_rotors_without_columns_are_blamed_by_name(tmp_path: Path) -> None:
     assert f"model: {text}" in verdict.reason
 
 
-def test_columns_of_rotors_without_rotors_do_no_harm(tmp_path: Path) -> None:
+def test_columns_of_rotors_without_rotors_are_harmless(tmp_path: Path) -> None:
     assert graph(tmp_path).set({"arm.rotor": None}).verify().proved
 
 

@@ -134,7 +134,7 @@ def test_a_barrier_with_the_wrong_sign_and_one_without_the_estimate_are_found(mo
     assert faults(run_of()) == []
 
 
-def test_a_verdict_says_why_nothing_is_proved_and_what_would_follow_from_an_assumption() -> None:
+def test_a_verdict_gives_the_reason_nothing_is_proved_and_what_would_follow_from_an_assumption() -> None:
     verdict = dm.verify(NAME).verdict
     assert verdict.outcome == "not_applicable"
     assert verdict.reason.startswith("inverse: an extended_state_observer has no certificate: ")

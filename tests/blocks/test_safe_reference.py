@@ -51,7 +51,7 @@ def tube_of(graph: dm.Graph) -> Tube | None:
     return next(tubes(claim, numbers, symbols_of(claim, uncertain), experiment.start), None)
 
 
-def test_no_tube_is_found_in_a_loop_whose_position_moves_otherwise_than_the_proof_says() -> None:
+def test_no_tube_is_found_in_a_loop_whose_position_moves_otherwise_than_the_proof_states() -> None:
     graph = joint_graph()
     diagram = graph.diagram
     claim = claim_of(diagram)

@@ -121,7 +121,7 @@ def test_the_residual_is_of_first_order_and_a_centred_momentum_change_is_not_bet
     [(SampledLaw, {"tau": None}, 0.72), (Observer, {}, 0.29), (Kinematic, {}, 5.02)],
     ids=["sampled law", "observer", "kinematic"],
 )
-def test_the_first_seconds_are_those_of_a_prototype_written_apart(
+def test_the_first_seconds_are_those_of_a_prototype_written_separately(
     law: type[SampledLaw], keys: dict[str, Any], quoted: float
 ) -> None:
     arm = ur10()
@@ -130,7 +130,7 @@ def test_the_first_seconds_are_those_of_a_prototype_written_apart(
 
 
 @pytest.mark.parametrize(("tau", "least", "most"), [(2.0, 0, 0.6), (None, 1.2, 20)], ids=["filtered", "not"])
-def test_only_the_filter_forgets_that_the_servo_began_at_another_target(
+def test_only_the_filter_ignores_that_the_servo_began_at_another_target(
     tau: float | None, least: float, most: float
 ) -> None:
     law = SampledLaw(ur10(), T, tau=tau, delay=1)

@@ -67,7 +67,7 @@ def test_commands_are_cut_off_where_by_hand_they_are(run: tuple[int, Run]) -> No
         assert off(by_hand(recorded, 0)) > 1e-3
 
 
-def test_so_the_servo_does_not_wind_up_and_the_run_says_why(run: tuple[int, Run]) -> None:
+def test_so_the_servo_does_not_wind_up_and_the_run_gives_the_reason(run: tuple[int, Run]) -> None:
     _, found = run
     assert found.error is not None
     assert np.max(found.error.norm[found.time > 2]) < 0.14  # [m], of a tool that the drive lets down

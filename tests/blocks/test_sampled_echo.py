@@ -39,7 +39,7 @@ def test_where_commands_arrive_as_they_were_sent_an_echo_changes_nothing() -> No
 
 
 @pytest.mark.parametrize("name", ["sampled_inverse", "disturbance_observer"])
-def test_what_is_learnt_is_as_if_the_command_that_was_echoed_had_been_sent(name: str) -> None:
+def test_what_is_estimated_is_as_if_the_command_that_was_echoed_had_been_sent(name: str) -> None:
     sent, acted = np.array([[0.2], [0.5], [0.2]]), np.array([[0.1], [0.6], [0.0]])
     inverse = name == "sampled_inverse"
     options = {"w_0": 1 / 800, "replay": 2} if inverse else {}

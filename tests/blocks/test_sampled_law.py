@@ -263,7 +263,7 @@ def test_where_the_momentum_is_no_safe_slope_it_is_left_out_of_the_command() -> 
     assert np.max(np.abs(moved.outputs["dq_c"] - found[1.0].outputs["dq_c"])) > 0.05
 
 
-def test_a_joint_whose_command_was_clipped_learns_nothing_from_that_sample() -> None:
+def test_a_joint_whose_command_was_clipped_is_not_adapted_with_that_sample() -> None:
     far = inverse(u_max=0.5).evaluate({"q": START, "dq_r": [0.1, 2.0, -3.0], "T": T}, states(), robot=ARM)
     assert np.all(np.abs(far.outputs["dq_c"]) <= 0.5)
     assert far.outputs["dq_c"][1] == 0.5
@@ -279,7 +279,7 @@ def test_a_joint_whose_command_was_clipped_learns_nothing_from_that_sample() -> 
     np.testing.assert_allclose(first["theta"], heavy(1.0), atol=1e-12)  # before the first sample nothing is known
 
 
-def test_each_joint_learns_by_a_guess_of_its_own() -> None:
+def test_each_joint_has_its_own_initial_estimate() -> None:
     def learnt(w_0: Any) -> Any:
         law = BLOCKS["sampled_inverse"](w_0=w_0, k_P_box=[0.0, 9.0])
         given = {"q": START + 0.01, "dq_r": np.zeros(3), "T": T}

@@ -48,13 +48,13 @@ def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any
     assert all(control.refuted for control in found.controls)
     assert found.samples is not None
     assert found.samples.silent[0] == "task"
-    (delay,) = [item for item in found.conditions if "its rows take a delay of" in item.name]
+    (delay,) = [item for item in found.conditions if "its rows use a delay of" in item.name]
     assert delay.holds
 
 
 def _says(found: Verdict) -> str:
     assert found.refutation is not None, found.reason
-    return found.refutation.says
+    return found.refutation.statement
 
 
 @pytest.mark.parametrize("servo", [PID, PI])
@@ -92,7 +92,7 @@ def _away(self: AveragedServo, theta: Any, h: Any, g: Any, Gamma: Any, nu: Any) 
 def test_another_adaptation_is_refuted(law: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     averaged_servo.cache_clear()
     monkeypatch.setattr(AveragedServo, "projected", law)
-    assert _says(verdict()) == "inverse: what theta becomes"
+    assert _says(verdict()) == "inverse: next value of theta"
     averaged_servo.cache_clear()
 
 
@@ -143,7 +143,7 @@ _put_back, _learnt = LeastSquares.put_back, LeastSquares.learnt
 def test_another_least_squares_is_refuted(name: str, law: Any, state: str, monkeypatch: pytest.MonkeyPatch) -> None:
     averaged_servo.cache_clear()
     monkeypatch.setattr(LeastSquares, name, law)
-    assert _says(verdict(PI, estimator="least_squares")) == f"inverse: what {state} becomes"
+    assert _says(verdict(PI, estimator="least_squares")) == f"inverse: next value of {state}"
     averaged_servo.cache_clear()
 
 
@@ -164,7 +164,7 @@ def test_a_friction_without_a_column_and_a_box_without_the_truth_are_reported() 
     assert verdict(friction=["viscous"], arm={"coulomb": 0}).outcome == "proved"
 
 
-def test_the_makers_gravity_compensation_needs_columns_of_its_own() -> None:
+def test_the_manufacturers_gravity_compensation_needs_columns_of_its_own() -> None:
     assert _says(verdict(arm={"maker_gravity": 0.5})) == "inverse: what the plant's motion obeys"
 
 

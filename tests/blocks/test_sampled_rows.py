@@ -15,7 +15,7 @@ import dmframe as dm
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import claim_of
-from dmframe.certify.explained import explained
+from dmframe.certify.explained import compared, explained
 from dmframe.robot.library import load as load_robot
 from dmframe_blocks._averaged_servo import averaged_servo
 from dmframe_blocks._last_sample import LastSample
@@ -67,7 +67,7 @@ def checked(found: Verdict) -> Any:
         (P_PI, {**SQUARES, **P_PI_BOXES}),
     ],
 )
-def test_honest_rows_are_explained(maker: dict[str, Any], options: dict[str, Any]) -> None:
+def test_correct_rows_are_explained(maker: dict[str, Any], options: dict[str, Any]) -> None:
     found = verdict(maker, **options)
     assert found.outcome == "proved", found.reason
     assert checked(found).holds
@@ -212,7 +212,7 @@ def test_rows_that_are_not_the_plants_are_not_explained(lie: str, monkeypatch: p
     lying(monkeypatch, lie)
     claim = claim_of(dm.load(sampled_arm2(servo="pid", replay=2)).diagram)
     (part,) = [part for part in claim.parts if part.certificate.steps]
-    item = explained(claim, part, part.certificate.steps[0])
+    item = explained(claim, compared(claim, part, part.certificate.steps[0]))
     assert isinstance(item, Checked)
     assert not item.holds
     assert "does not fall with the period" in item.name
@@ -238,7 +238,7 @@ def test_without_coupling_the_rows_are_assumed_and_the_steps_are_proved() -> Non
 
 
 @pytest.mark.parametrize("lie", ["y negated", "stored rows of another joint"])
-def test_a_lie_of_rows_and_certificate_is_not_proved(lie: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_false_claim_of_rows_and_certificate_is_not_proved(lie: str, monkeypatch: pytest.MonkeyPatch) -> None:
     lying(monkeypatch, lie)
     found = verdict()
     assert found.outcome == "not_applicable"
@@ -248,17 +248,17 @@ def test_a_lie_of_rows_and_certificate_is_not_proved(lie: str, monkeypatch: pyte
     assert found.reason.endswith(" of the data at T = 5, 2.5, 1.25, 0.625, 0.312 ms")
 
 
-def test_rows_without_coupling_know_the_plants_delay_and_take_its_rotors() -> None:
+def test_rows_without_coupling_contain_the_plants_delay_and_take_its_rotors() -> None:
     graph = copy.deepcopy(sampled_arm2(dynamics="joints", replay=2))
     graph["blocks"]["arm"]["rotor"] = [0.3, 0.2]
     assert dm.load(graph).verify().outcome == "proved"
     graph["blocks"]["line"] = {"type": "transport_delay", "samples": 1}
     found = dm.load(graph).verify()
     assert found.outcome == "not_applicable"
-    assert "its rows take a delay of 0 samples, and the plant delays commands by 1" in found.reason
+    assert "its rows use a delay of 0 samples, and the plant delays commands by 1" in found.reason
 
 
 def test_rows_of_a_pid_servo_do_not_fit_a_cascade() -> None:
     graph = copy.deepcopy(sampled_arm2())
     graph["blocks"]["servo"] = {"type": "p_pi_servo", "k_p": 20, "K_v": [60, 30], "K_i": [240, 120]}
-    assert "inverse: its equations read K_I" in dm.load(graph).verify().reason
+    assert "inverse: its certificate reads K_I" in dm.load(graph).verify().reason

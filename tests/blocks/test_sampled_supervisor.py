@@ -171,7 +171,7 @@ def test_where_the_law_is_right_it_costs_nothing() -> None:
     assert last(found, "supervisor.predictor") == 2
 
 
-def test_a_delay_that_is_not_configured_does_no_more_harm_than_the_kinematic_command() -> None:
+def test_a_delay_that_is_not_configured_is_no_worse_than_the_kinematic_command() -> None:
     found = run(100.0, line=Line())
     assert rms(error(found)) < KINEMATIC_LATE
     assert peak(found) < 6
@@ -180,7 +180,7 @@ def test_a_delay_that_is_not_configured_does_no_more_harm_than_the_kinematic_com
     assert np.all(T * np.diff(trips) > 4 * 2.0 ** np.arange(trips.size - 1))  # ever more rarely
 
 
-def test_a_delay_that_changes_at_random_does_no_more_harm_than_the_kinematic_command() -> None:
+def test_a_delay_that_changes_at_random_is_no_worse_than_the_kinematic_command() -> None:
     found = run(100.0, assumed=1, line=Line(random=True))
     assert rms(error(found)) < KINEMATIC_LATE
     assert peak(found) < 6

@@ -132,7 +132,7 @@ def test_a_gain_that_is_not_the_one_of_the_law_is_seen(short: dm.Run) -> None:
     assert along_of(short, diagram=graph.diagram).beyond > 0
 
 
-def test_a_law_that_learns_nothing_of_its_rows_is_seen(short: dm.Run) -> None:
+def test_a_law_that_does_not_use_its_rows_is_seen(short: dm.Run) -> None:
     draw = np.random.default_rng(0)
     states = dict(short.recording.states)
     theta = states["inverse.theta"]
@@ -169,7 +169,7 @@ def test_states_that_are_not_kept_are_recomputed_with_what_each_sample_drew(inve
         assert not np.allclose(other.residual, whole.residual, rtol=1e-3), wrong
 
 
-def test_a_run_that_does_not_keep_every_sample_has_no_v_and_says_why() -> None:
+def test_a_run_that_does_not_keep_every_sample_has_no_v_and_gives_the_reason() -> None:
     run = run_of({**arm2(), "log": {"every": "80 ms"}})
     with pytest.raises(
         DmframeError, match=r"expected a run that records inverse\.rows.* or a simulation that records every"
@@ -198,7 +198,7 @@ def test_a_known_value_outside_its_box_takes_v_away() -> None:
         run["V"]
 
 
-def test_v_is_in_the_files_and_says_with_which_constants(short: dm.Run, tmp_path: Path) -> None:
+def test_v_is_in_the_files_and_states_with_which_constants(short: dm.Run, tmp_path: Path) -> None:
     short.save(tmp_path / "mine", plots=True)
     assert (tmp_path / "mine" / "storage.svg").exists()
     V, constants = short["V"], short.summary["storage"]["constants"]["inverse.offset"]

@@ -47,7 +47,7 @@ def test_the_last_eighth_of_each_run_has_the_quoted_error(name: str, figures: di
 
 
 @pytest.mark.parametrize("case", OTHERS, ids=" ".join)
-def test_the_form_that_a_graph_does_not_take_has_the_error_that_its_comment_says(case: tuple[str, ...]) -> None:
+def test_the_form_that_a_graph_does_not_take_has_the_error_that_its_comment_states(case: tuple[str, ...]) -> None:
     assert last_eighth(*case) == pytest.approx(OTHERS[case], rel=0.01)
 
 

@@ -50,7 +50,7 @@ def followed(rate: Callable[..., Array], state: Array, commands: Array, samples:
 
 
 @pytest.mark.parametrize(("share", "off"), [(0.8, (0.0, 0.0)), (1.0, (0.2, -0.3))])
-def test_a_servo_with_a_share_of_a_models_torque_moves_as_scipy_says(
+def test_a_servo_with_a_share_of_a_models_torque_moves_as_in_scipy(
     share: float, off: tuple[float, float], tmp_path: Path
 ) -> None:
     """The integrator holds, at the start, what the model leaves of gravity; its links are heavier or lighter."""
@@ -93,7 +93,7 @@ def test_nothing_is_proved_of_a_servo_with_a_model() -> None:
     assert "no theorem covers a servo with a model of the robot" in found.verdict.reason
 
 
-def test_friction_grows_with_the_motors_torque_as_scipy_says(tmp_path: Path) -> None:
+def test_friction_grows_with_the_motors_torque_as_in_scipy(tmp_path: Path) -> None:
     run = graph(tmp_path, PID, "  gears: {type: stribeck_friction, per_torque: [0.2, 0.1]}\n").run()
     commands, q = run["command.dq_c"].values, run["arm.q"].values
 

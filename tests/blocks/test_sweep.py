@@ -149,7 +149,7 @@ def test_a_blocks_page_has_its_parameters_and_source(name: str) -> None:
     for field in kind.model_fields:
         assert about(kind).parameters.get(field), f"{field} is not documented"
     assert parameters.startswith("None") == (not kind.model_fields)
-    assert "References\n----------\n" in page or kind.side is Side.SOURCE, "a source, or a trajectory that needs none"
+    assert "References\n----------\n" in page or kind.side is Side.SOURCE, f"{name} has no References"
 
 
 @pytest.mark.parametrize("name", BLOCKS)

@@ -60,7 +60,7 @@ def rms(run: Recording) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", [*THEOREMS, *TORQUES])
-def test_the_tracking_error_falls_as_the_theorem_says(name: str) -> None:
+def test_the_tracking_error_falls_as_the_theorem_states(name: str) -> None:
     run, verdict = done(name)
     assert run.divergence is None
     assert run.clock is None  # the theorems speak of continuous time

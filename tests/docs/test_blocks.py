@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import re
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 import dmframe as dm
 from dmframe.block.parameter import specs
 from dmframe.catalogue import block_types, graphs
-from dmframe.formula.alone import plainest
+from dmframe.formula.alone import simplest
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,7 +56,7 @@ def test_each_block_is_in_one_family_and_the_index_links_to_each_page_once() -> 
 
 
 def test_a_page_prints_the_law_of_the_code(dynamics: str) -> None:
-    found = plainest(KINDS["dynamic_compensator"])
+    found = simplest(KINDS["dynamic_compensator"])
     assert found is not None
     law = section(dynamics, "Law")
     lines = [make_blocks._row(line) for line in found[1].lines]
@@ -136,8 +137,8 @@ def test_an_impossible_value_is_reported_and_the_others_are_tried() -> None:
     assert "expected a quantity in 1/s" in found[2][2]
 
 
-def test_a_long_sum_is_broken_between_its_summands_and_says_the_same() -> None:
-    found = plainest(KINDS["pid_inverse"])
+def test_a_long_sum_is_broken_between_its_summands_and_states_the_same() -> None:
+    found = simplest(KINDS["pid_inverse"])
     assert found is not None
     for line in found[1].lines:
         row = make_blocks._row(line)
@@ -150,6 +151,21 @@ def test_a_bar_in_a_cell_ends_no_column() -> None:
     assert make_blocks._table(("a",), [("$|x|^2$ and |",)]).splitlines()[-1] == r"| $\vert x\vert ^2$ and \| |"
 
 
-def test_a_parameter_says_its_unit_and_sign() -> None:
+def test_a_parameter_states_its_unit_and_sign() -> None:
     spec = specs(KINDS["dynamic_compensator"])["Gamma"]
     assert f"{spec.unit or '-'} > 0" in make_blocks._parameters(KINDS["dynamic_compensator"])
+
+
+def test_writing_the_pages_counts_them_in_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(make_blocks, "page", lambda name, _: name)  # what takes seconds
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    written = make_blocks.write(tmp_path, names=("circle", "sinusoid"))
+    assert [path.name for path in written] == ["index.md", "circle.md", "sinusoid.md"]
+    assert "2 / 2 pages" in terminal.getvalue()
+    monkeypatch.setattr(sys, "stderr", quiet := io.StringIO())
+    make_blocks.write(tmp_path, names=())
+    assert quiet.getvalue() == ""

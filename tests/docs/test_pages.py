@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from dmframe.block import certificate
 from dmframe.catalogue import graphs
 from dmframe.cli.app import app
+from dmframe.cli.groups import GROUPS, grouped
 from dmframe.config.document import read_document, read_file
 from dmframe.config.grammar import GraphFile, LogSection, RobotSection, SolverSection
 from dmframe.robot.library import robots
@@ -52,11 +53,31 @@ def test_the_reference_lists_every_command_and_option() -> None:
     text = read("docs", "reference", "command_line.md")
     group = typer.main.get_command(app)
     for name, command in group.commands.items():  # type: ignore[attr-defined]
-        assert f"`dmframe {name}" in text, name
         rows = [line for line in text.splitlines() if line.startswith(f"| `dmframe {name}")]
-        for option in (option for parameter in command.params for option in parameter.opts if option.startswith("--")):
-            short = option in ("--help",) or "-o" in next(p.opts for p in command.params if option in p.opts)
-            assert short or any(option in row for row in rows), f"{name} {option}"
+        assert rows, name
+        for parameter in command.params:
+            first, *older = [option for option in parameter.opts if option.startswith("--")] or [""]
+            assert first == "--help" or any(first in row for row in rows), f"{name} {first}"
+            assert all(f"`{option}`" in text for option in older), f"{name} {older}"
+
+
+def test_the_reference_has_the_groups_of_the_help_and_each_command_is_in_one() -> None:
+    text = read("docs", "reference", "command_line.md")
+    parts = {part.partition("\n")[0]: part for part in text.split("\n## ")}
+    assert list(grouped(list(typer.main.get_command(app).commands))) == list(GROUPS)  # type: ignore[attr-defined]
+    for name, rows in GROUPS.items():
+        listed = re.findall(r"^\| `dmframe (\w+)", parts[name], re.MULTILINE)
+        assert list(dict.fromkeys(listed)) == list(rows)
+
+
+def test_one_meaning_has_one_option_in_all_commands() -> None:
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    options = [(name, parameter.opts) for name, command in commands.items() for parameter in command.params]
+    for name, words in options:
+        assert ("--out" in words) == ("-o" in words), f"{name}: -o and --out are one option"
+        if {"--seconds", "--horizon", "--duration"} & set(words):
+            assert words[0] == "--until", f"{name}: {words}"
+    assert {name for name, words in options if "--until" in words} > {"run", "drive", "rehearse", "analyse", "robot"}
 
 
 def test_the_reference_lists_every_key_of_a_graph_file() -> None:

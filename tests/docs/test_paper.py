@@ -54,7 +54,7 @@ def test_properties_theorems_remarks_and_assumptions_have_rows(paper: ModuleType
     assert wanted <= set(numbers)
 
 
-def test_a_row_says_where_it_is_or_why_it_is_nowhere(paper: ModuleType) -> None:
+def test_a_row_states_where_it_is_or_why_it_is_nowhere(paper: ModuleType) -> None:
     unused = [row for row in paper.rows() if row.unused]
     assert [row.number for row in unused] == ["Remark 4"]  # of other papers' laws
     for row in paper.rows():

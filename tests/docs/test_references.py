@@ -37,7 +37,7 @@ def test_every_entry_is_cited() -> None:
     assert sorted(entries().keys() - cited().keys()) == []
 
 
-def test_every_entry_says_who_what_where_and_when() -> None:
+def test_every_entry_states_who_what_where_and_when() -> None:
     wrong = [
         key for key, (kind, fields) in entries().items() if not {"author", "title", "year"} | NEEDED[kind] <= fields
     ]

@@ -90,6 +90,13 @@ def test_a_build_takes_nothing_out_of_a_folder_that_is_not_its_own(tmp_path):
     assert (others / "thesis.md").read_text() == "mine"
 
 
+def test_sphinx_counts_its_pages_in_a_terminal_and_is_quiet_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "-q" in make_site.options()
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert "-q" not in make_site.options()
+    assert {"-W", "--keep-going"} < set(make_site.options())
+
+
 def test_every_page_is_in_the_navigation_once(files: dict[str, str | bytes]) -> None:
     listed = navigation(files)
     wanted = {re.sub(r"\.(md|rst)$", "", place) for place in files if place.endswith((".md", ".rst"))}

@@ -135,7 +135,7 @@ def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, ce
         ("robot's clock fast by 1e-3", "ur10_slow_kinematic"),
     ],
 )
-def test_runs_come_out_as_the_data_say(case: str, name: str, study: ModuleType, cells: Cells) -> None:
+def test_runs_come_out_as_in_the_data(case: str, name: str, study: ModuleType, cells: Cells) -> None:
     found, kept = study.row_of(case, name), cells[case, name]
     assert bool(found["fault"]) == bool(kept["fault"])
     for key in ("rms_final", "peak_after", "peak") if kept["rms_final"] else ():

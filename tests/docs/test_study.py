@@ -49,7 +49,7 @@ def of(ratios: dict[Any, float], places: list[Any], task: str) -> list[float]:
     return [ratios[place] for place in places if place[0] == task]
 
 
-def test_what_the_page_says_of_the_papers_gains_agrees_with_the_data(study: ModuleType) -> None:
+def test_what_the_page_states_of_the_papers_gains_agrees_with_the_data(study: ModuleType) -> None:
     rows, text = study.read(), " ".join(study.PAGE.read_text(encoding="utf-8").split())
     places, law = study.unknown(), {form: study.ratios(rows, form, "paper") for form in study.FORMS}
     slow = {form: of(ratios, places, "slow") for form, ratios in law.items()}
@@ -71,7 +71,7 @@ def test_what_the_page_says_of_the_papers_gains_agrees_with_the_data(study: Modu
     assert [sum(map(math.isinf, ratios.values())) for ratios in law.values()] == [4, 1]
 
 
-def test_what_the_page_says_of_the_two_forms_agrees_with_the_data(study: ModuleType) -> None:
+def test_what_the_page_states_of_the_two_forms_agrees_with_the_data(study: ModuleType) -> None:
     rows = study.read()
     first, second = (study.ratios(rows, form, "paper") for form in study.FORMS)
     assert [sum(first[p] < second[p] for p in first if p[0] == task) for task in study.TASKS] == [94, 119]
@@ -148,7 +148,7 @@ def test_the_graphs_own_cell_changes_nothing_but_the_step(
     assert (changed.file.clock, changed.file.duration) == (own.file.clock, own.file.duration)
 
 
-def test_runs_of_the_study_come_out_as_the_data_say(study: ModuleType, plans: list[Study]) -> None:
+def test_runs_of_the_study_come_out_as_in_the_data(study: ModuleType, plans: list[Study]) -> None:
     rows = {(row.place, row.form, row.gains): row for row in study.read()}
     places = places_of(study, plans)
     for cell in (
@@ -163,7 +163,7 @@ def test_runs_of_the_study_come_out_as_the_data_say(study: ModuleType, plans: li
         assert found["diverged_at"][0] == pytest.approx(kept.diverged, rel=0.2, nan_ok=True)
 
 
-def test_without_the_runs_it_says_which_command_makes_them(
+def test_without_the_runs_it_states_which_command_makes_them(
     study: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
+import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,6 +18,7 @@ import pytest
 import dmframe as dm
 from dmframe.block.port import Side
 from dmframe.common.errors import DmframeError
+from dmframe.graph.which import Guide, guide
 
 ROOT = Path(__file__).parents[2]
 Rows = dict[str, dict[str, str]]
@@ -36,7 +41,7 @@ def said(which: ModuleType) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def rows(which: ModuleType) -> Rows:
-    return {row["graph"]: row for row in which.read(which.TABLE)}
+    return {row["graph"]: row for row in which.rows_of(which.TABLE)}
 
 
 def number(cell: str) -> float:
@@ -58,7 +63,11 @@ def test_each_packaged_graph_has_a_line_or_a_reason_for_having_none(which: Modul
 
 
 def test_the_page_shows_what_is_kept(which: ModuleType, said: dict[str, Any], rows: Rows) -> None:
-    text, laws, limits = (which.PAGE.read_text(encoding="utf-8"), which.read(which.LAWS), which.read(which.LIMITS))
+    text, laws, limits = (
+        which.PAGE.read_text(encoding="utf-8"),
+        which.rows_of(which.LAWS),
+        which.rows_of(which.LIMITS),
+    )
     assert list(rows) == list(said["graphs"]), "stale; run: python docs/make_which.py"
     fill = which.fill
     assert fill(text, [*rows.values()], laws, limits, said) == text, "stale; run: python docs/make_which.py --draw"
@@ -67,6 +76,78 @@ def test_the_page_shows_what_is_kept(which: ModuleType, said: dict[str, Any], ro
     assert fill(text, [*rows.values()], moved, limits, said) != text
     assert fill(text, [*rows.values()], laws, [{**row, "room": "-0.01"} for row in limits], said) != text
     assert fill(text, [{**row, "learnt": "none"} for row in rows.values()], laws, limits, said) != text
+
+
+def answer_rows(which: ModuleType) -> list[list[str]]:
+    """The cells of the page's first table, without the marks of Markdown."""
+    text = which.PAGE.read_text(encoding="utf-8")
+    lines = text.partition(which.ANSWERS_BEGIN)[2].partition(which.ANSWERS_END)[0].strip().splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def combinations() -> list[list[str]]:
+    """Answers to the five questions, in their order."""
+    choices = [list(item.choices) or ["8 ms", "12 ms", "13 ms", "90 ms"] for item in guide().questions.values()]
+    return [list(answers) for answers in itertools.product(*choices)]
+
+
+def test_the_first_row_of_the_page_that_fits_is_the_answer_of_the_command(which: ModuleType) -> None:
+    found, table = guide(), answer_rows(which)
+    for answers in combinations():
+        kind = "short" if float(answers[1].split()[0]) <= 12 else "long"
+        given = [answers[0], kind, *answers[2:]]
+        row = next(
+            row
+            for row in table
+            if all(cell == "any" or ask in cell.split(", ") for cell, ask in zip(row, given, strict=False))
+        )
+        lines = row[5].split("<br>")
+        line = next((part for part in lines if part.startswith(kind)), lines[0])
+        selection = found.select(dict(zip(found.questions, answers, strict=True)))
+        assert f"[`{selection.take.graph}`]" in line, answers
+        assert row[7] == selection.rule.because
+
+
+def test_the_script_of_the_page_chooses_the_same_row(which: ModuleType) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("Node is not installed")
+    script = (which.DOCS / "_static" / "which.js").read_text(encoding="utf-8")
+    table = [row[:5] for row in answer_rows(which)]
+    inputs = [[answers[0], float(answers[1].split()[0]), *answers[2:]] for answers in combinations()]
+    script += f"\nconst [table, inputs] = {json.dumps([table, inputs])};"
+    script += "\nconsole.log(JSON.stringify(inputs.map((answers) => dmframeWhich.firstRow(table, answers))));"
+    done = subprocess.run([node, "-e", script], capture_output=True, text=True, check=True, timeout=60)
+    found = guide()
+    rules = [found.rule_for(dict(zip(found.questions, answers, strict=True))) for answers in combinations()]
+    assert json.loads(done.stdout) == [next(k for k, each in enumerate(found.rules) if each is rule) for rule in rules]
+
+
+def test_a_changed_answer_makes_the_page_stale(which: ModuleType, said: dict[str, Any], tmp_path: Path) -> None:
+    for file in which.GUIDES.iterdir():
+        shutil.copy(file, tmp_path)
+    lines = list(which.answer_table(guide(), said))
+    assert "\n".join(lines) in which.PAGE.read_text(encoding="utf-8")
+    file = tmp_path / "which.yaml"
+    file.write_text(file.read_text(encoding="utf-8").replace("take: ur10_slow_supervised", "take: ur10_slow_sampled"))
+    assert list(which.answer_table(Guide(file), said)) != lines
+
+
+def test_each_error_of_the_answers_is_that_of_one_cell(which: ModuleType, said: dict[str, Any]) -> None:
+    rows = which.rows_of(which.LAWS)
+    cells = [(row["graph"], row["circle"]) for row in rows if row["graph"]]
+    assert len(set(cells)) == len(cells)
+    for row in rows:
+        law = next(law for law in said["laws"] if law["title"] == row["law"])
+        k, circle = next(pair for pair in enumerate(said["circles"]) if pair[1]["title"] == row["circle"])
+        cell = law["cells"][circle.get("cell", k)]
+        assert row["graph"] == (cell if isinstance(cell, str) else cell.get("of", ""))
+    for servo, periods in guide().plants.items():
+        for kind, titles in periods.items():
+            circles = [next(each for each in said["circles"] if each["title"] == title) for title in titles]
+            assert [circle["on"] for circle in circles] == [{"short": "ur10_fast", "long": "ur10_slow"}[kind]] * 2
+            assert [circle.get("reality") for circle in circles] == [None, "ur"]
+            assert all(("servo" in circle) == (servo == "stiff") for circle in circles)
 
 
 def test_the_page_behind_a_graph_mentions_it_or_one_of_its_blocks(which: ModuleType, said: dict[str, Any]) -> None:
@@ -84,7 +165,7 @@ def _controllers(graph: dm.Graph) -> list[str]:
 @pytest.mark.parametrize(
     "name", ["computed_torque", "pd_torque", "observed_regulation_pi", "torque_consistent_pi", "ur10_fast_eso"]
 )
-def test_a_row_is_what_graph_verdict_and_run_say(name: str, which: ModuleType, rows: Rows) -> None:
+def test_a_row_is_what_graph_verdict_and_run_state(name: str, which: ModuleType, rows: Rows) -> None:
     found, kept = dict(which.row_of(name)), dict(rows[name])
     assert number(found.pop("error")) == pytest.approx(number(kept.pop("error")), rel=0.02, abs=1e-4)
     assert found == kept
@@ -130,11 +211,11 @@ def test_an_estimate_without_a_word_is_reported(which: ModuleType, monkeypatch: 
 
 
 @pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (0, 4), (3, 0), (4, 1), (4, 2), (4, 5), (5, 0)])
-def test_a_law_on_a_circle_comes_out_as_the_table_says(
+def test_a_law_on_a_circle_comes_out_as_in_the_table(
     law: int, circle: int, which: ModuleType, said: dict[str, Any]
 ) -> None:
     stated, place = said["laws"][law], said["circles"][circle]
-    kept = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}[stated["title"], place["title"]]
+    kept = {(row["law"], row["circle"]): row for row in which.rows_of(which.LAWS)}[stated["title"], place["title"]]
     found = which.law_row(stated, circle, place)
     for key in ("rms_final", "diverged_at", "at_limits"):
         assert bool(str(found[key])) == bool(kept[key])
@@ -153,7 +234,7 @@ def test_the_front_pages_figures_are_those_of_the_competitors(page: str, which: 
     text = ROOT.joinpath(page).read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([^|]+) \| (8|90) ms \| (.+) \|$", text, re.MULTILINE)
     assert len(rows) == 4
-    kept = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}
+    kept = {(row["law"], row["circle"]): row for row in which.rows_of(which.LAWS)}
     servo = ""
     for label, clock, cells in rows:
         servo = next((name for name in FRONT if label.startswith(name)), servo)
@@ -183,7 +264,7 @@ def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cu
     assert which._cell({**row, "diverged_at": "0.81", "at_limits": ""}) == "**diverges** at 810 ms"
 
 
-def test_a_law_is_configured_for_the_delay_where_a_predictor_says_from_where_it_goes_on(which: ModuleType) -> None:
+def test_a_law_is_configured_for_the_delay_where_a_predictor_states_from_where_it_goes_on(which: ModuleType) -> None:
     real = which.real(dm.load("ur10_slow_observer"), "ur")
     assert (real.blocks["task"].delay, real.blocks["inverse"].delay) == (1, 1)
     assert which.real(dm.load("ur10_slow_kinematic_inverse"), "ur").blocks["task"].delay == 0
@@ -191,19 +272,19 @@ def test_a_law_is_configured_for_the_delay_where_a_predictor_says_from_where_it_
 
 
 @pytest.mark.parametrize(("title", "reality"), [("observer behind it, margin 5", "none"), ("no limits", "ur")])
-def test_a_law_with_limits_does_what_the_table_says(
+def test_a_law_with_limits_does_what_the_table_states(
     title: str, reality: str, which: ModuleType, said: dict[str, Any]
 ) -> None:
     (law,) = (law for law in said["limits"]["laws"] if title in law["title"])
-    kept = {(row["law"], row["reality"]): row for row in which.read(which.LIMITS)}[law["title"], reality]
+    kept = {(row["law"], row["reality"]): row for row in which.rows_of(which.LIMITS)}[law["title"], reality]
     found = which.limit_row(law, reality, said["limits"]["on"])
     assert found["says"] == kept["says"]
     for key in ("rms_final", "room"):
         assert float(found[key]) == pytest.approx(float(kept[key]), rel=0.02)
 
 
-def test_what_the_page_says_of_laws_with_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
-    rows = {(row["law"], row["reality"]): row for row in which.read(which.LIMITS)}
+def test_what_the_page_states_of_laws_with_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+    rows = {(row["law"], row["reality"]): row for row in which.rows_of(which.LIMITS)}
     titles = [law["title"] for law in said["limits"]["laws"]]
     assert rows.keys() == {(title, reality) for title in titles for reality in which.REALITIES}
     room = {key: float(row["room"]) for key, row in rows.items()}
@@ -234,9 +315,9 @@ def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleT
             assert {name: graph.blocks[name] for name in shared} == {name: base.blocks[name] for name in shared}
 
 
-def test_what_the_page_says_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
-    cells = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}
-    titles = [law["title"] for law in said["laws"]]
+def test_what_the_page_states_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+    cells = {(row["law"], row["circle"]): row for row in which.rows_of(which.LAWS)}
+    *titles, series = (law["title"] for law in said["laws"])  # the last one requires the period of the path
     soft, stiff = ([c for c in said["circles"] if ("servo" in c) is wanted] for wanted in (False, True))
     ideal, real = ([c["title"] for c in soft if ("reality" in c) is wanted] for wanted in (False, True))
     for circle in ideal:
@@ -256,6 +337,9 @@ def test_what_the_page_says_of_the_competitors_agrees_with_the_table(which: Modu
     }
     assert [circle for circle, title in least.items() if title != titles[12]] == [stiff[0]["title"]]
     assert cells[titles[12], stiff[0]["title"]]["rms_final"].startswith("3.4")
+    below = {at for at in least if float(cells[series, at]["rms_final"]) < float(cells[least[at], at]["rms_final"])}
+    assert below == {real[0], stiff[0]["title"]}
+    assert [round(1e6 * float(cells[series, at]["rms_final"])) for at in (real[0], stiff[0]["title"])] == [23, 10]
     rms = [float(cells[title, real[0]]["rms_final"]) for title in titles]
     limited = {(title, circle) for title in titles for circle in real if float(cells[title, circle]["at_limits"]) > 0}
     assert limited == {(title, circle) for title in titles[:2] for circle in real} | {(titles[6], real[0])}

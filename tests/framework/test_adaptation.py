@@ -43,7 +43,7 @@ def number(expression: Any) -> float:
 
 
 @pytest.mark.parametrize("chosen", CHOICES, ids=lambda chosen: " and ".join(chosen) or "gradient")
-def test_a_law_is_the_textbooks_and_its_storage_changes_by_what_it_says(chosen: dict[str, float]) -> None:
+def test_a_law_is_the_textbooks_and_its_storage_changes_by_what_it_states(chosen: dict[str, float]) -> None:
     rng, made = np.random.default_rng(1), law(**chosen)
     for _ in range(20):
         phi, s, theta = rng.normal(size=(3, 2)), rng.normal(size=3) * rng.choice([0.2, 2.0]), rng.normal(size=2)

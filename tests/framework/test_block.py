@@ -8,6 +8,7 @@ import pytest
 from pydantic import Field
 
 from dmframe.block import AbstractBlock, Equations, Signals, type_name
+from dmframe.block.base import TRUE_VALUES
 from dmframe.block.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.block.port import Input, Output, State
 from dmframe.common.errors import BlockError, DmframeError, Faults, MissingError, UnknownNameError, ValueFault
@@ -85,7 +86,7 @@ class Counted(AbstractBlock):
         ({"filtered": []}, "counted.filtered: expected true or false, found []"),
     ],
 )
-def test_a_truth_a_number_and_a_text_are_reported_apart(values: dict[str, Any], text: str) -> None:
+def test_a_truth_a_number_and_a_text_are_reported_separately(values: dict[str, Any], text: str) -> None:
     assert str(fault(Counted, **values)) == text
 
 
@@ -108,6 +109,11 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
     with pytest.raises(BlockError) as caught:
         _ = signals.dq_reff
     assert str(caught.value) == "task: its equations read dq_reff, which is none of its inputs; did you mean dq_ref?"
+    true = Signals("task", TRUE_VALUES, {"a_d": 1})
+    with pytest.raises(BlockError) as caught:
+        _ = true.a_k
+    text = "its certificate reads a_k, which is none of the true values that `truth` declares and this diagram has"
+    assert str(caught.value) == f"task: {text}; did you mean a_d?"
 
 
 @pytest.mark.parametrize(
@@ -122,14 +128,14 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
         ),
         (
             {"states": (State("a", box="a_bux"),)},
-            "the box of a is a_bux, which is no Interval parameter; did you mean a_box?",
+            "the box of a is a_bux, not an Interval parameter; did you mean a_box?",
         ),
         (
             {"states": (State("b_d_hat"),), "outputs": (Output("b_hat_d"),)},
             "its names b_hat_d and b_d_hat both print as b\u0302_d; rename one",
         ),
         ({"states": (State("alpha"),), "inputs": (Input("α"),)}, "its names α and alpha both print as α; rename one"),
-        ({"states": (State("у"),)}, r"the name '\u0443' holds '\u0443', no Latin and no known Greek letter"),
+        ({"states": (State("у"),)}, r"the name '\u0443' contains '\u0443', not a Latin or known Greek letter"),
         ({"inputs": (Input("x - y"),)}, "expected a name such as K_star, found 'x - y'"),
         ({"states": (State("a", "n"),)}, "the parameter a and the state that it initialises have different shapes"),
     ],

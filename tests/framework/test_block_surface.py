@@ -68,7 +68,7 @@ def test_the_former_port_becomes_an_input_or_an_output_with_a_notice() -> None:
         type("Bad", (Integral,), {"inputs": (Port("e", "2", shown="an error"),), "__module__": __name__})
 
 
-def test_the_error_for_a_plain_float_says_what_to_write() -> None:
+def test_the_error_for_a_plain_float_states_what_to_write() -> None:
     class Plain(Integral):
         K: float = 2.0
 

@@ -48,7 +48,7 @@ def test_a_block_that_uses_a_robot_has_pinocchios_jacobian() -> None:
     assert np.allclose(found.outputs["J_hat"], J, atol=1e-9)
 
 
-def test_a_state_begins_where_its_parameter_says_and_a_scalar_is_a_number() -> None:
+def test_a_state_begins_where_its_parameter_states_and_a_scalar_is_a_number() -> None:
     found = block("circle", center=[0, 0, 1], radius=2, rate=1).evaluate({"t": 0})
     assert np.allclose(np.linalg.norm(found.outputs["x_d"] - [0, 0, 1]), 2)
     found = block("pid_inverse", K_c=1, Lambda=1, Lambda_P=1, Lambda_I=1, w=3, w_P=2, w_I=1).evaluate(
@@ -142,7 +142,7 @@ def test_a_value_that_can_change_is_read_at_each_call() -> None:
     assert made.evaluate().outputs["y"] == 8.0
 
 
-def test_a_new_block_states_its_equations_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_block_states_its_equations_again(monkeypatch: pytest.MonkeyPatch) -> None:
     one = Listed(numbers=(1.0,))
     assert one.evaluate().outputs["y"] == 2.0
     monkeypatch.setitem(globals(), "factor", 5.0)

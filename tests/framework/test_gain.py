@@ -30,7 +30,7 @@ def positive(n: int, seed: int) -> np.ndarray:
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.integers(1, 6), st.integers(0, 10**6), st.booleans())
-def test_it_is_positive_definite_where_its_eigenvalues_say_so(n: int, seed: int, spoil: bool) -> None:
+def test_it_is_positive_definite_where_its_eigenvalues_are_positive(n: int, seed: int, spoil: bool) -> None:
     matrix = positive(n, seed)
     if spoil:
         matrix -= np.eye(n) * np.linalg.eigvalsh(matrix)[0] * 1.01
@@ -127,7 +127,7 @@ def test_a_value_that_has_no_symbol_takes_another_diagram() -> None:
     value = np.array([[4.0, 1, 0], [1, 5, 0], [0, 0, 6]])
     symbol = symmetric_symbol("Gamma", value)
     assert unique(GAIN, symbol, np.array([1.0, 2, 3]))[1].tolist() == [1, 0, 2, 3]
-    with pytest.raises(ValueError, match="expected zeros where the matrix has had them"):
+    with pytest.raises(ValueError, match="expected the zeros of the diagram's matrix"):
         unique(GAIN, symbol, positive(3, 0))
-    with pytest.raises(ValueError, match="expected a diagonal, as the diagram has had"):
+    with pytest.raises(ValueError, match="expected a diagonal, as in the diagram"):
         unique(GAIN, symbol[:, 0], value)

@@ -162,7 +162,7 @@ def test_a_number_found_elsewhere_is_found_by_other_numbers(way: Callable[[Any],
             sign = 1 if way(self) < 5 else -1
             return Equations({"seen": x.y}, {"y": -sign * p.rate * x.y, "z": -x.z})
 
-    text = "falling: equations\\(\\) state another rate of y where rate has another value, which is read as a Python"
+    text = "falling: equations\\(\\) state another rate of y where rate has another value, read as a Python"
     for rate in (2.0, 0.01, 4.9, 7.0, 4000.0):
         with pytest.raises(DmframeError, match=text):
             Diagram.build({"falling": Global(rate=rate)})
@@ -211,7 +211,7 @@ def test_a_number_found_elsewhere_is_found_in_what_is_proved_and_in_starts(
     found: Callable[[Any], float], where: str, says: str
 ) -> None:
     number = "rate" if found is through_a_global else "gains"
-    text = f"falling: {says} where {number} has another value, which is read as a Python number; expected p.{number}"
+    text = f"falling: {says} where {number} has another value, read as a Python number; expected p.{number}"
     for rate in (2.0, 7.0):
         verdict = verify(leaking(found, where, rate=rate, gains=(1.0, rate)), trials=1)
         assert (verdict.outcome, verdict.reason) == ("not_applicable", text)
@@ -307,7 +307,7 @@ def test_a_number_found_elsewhere_is_found_in_what_an_adapting_block_states(wher
     except DmframeError as error:
         found = str(error)
     assert "learning: " in found
-    assert "where floor has another value, which is read as a Python number; expected p.floor" in found
+    assert "where floor has another value, read as a Python number; expected p.floor" in found
 
 
 def test_whether_a_number_is_given_is_a_property_of_p() -> None:

@@ -89,7 +89,7 @@ def test_the_sdist_holds_the_tests_and_the_lock(sdist: Path) -> None:
     assert not [name for name in names if name.startswith((".venv", ".git/", "dist"))]
 
 
-def test_the_installed_packages_do_not_mind_a_users_own_folder_called_blocks(wheel: Path, tmp_path: Path) -> None:
+def test_the_installed_packages_are_independent_of_a_users_folder_called_blocks(wheel: Path, tmp_path: Path) -> None:
     site = tmp_path / "site"
     options = ("-q", "--no-index", "--no-deps", "--no-compile", "--target", str(site))
     run("-m", "pip", "install", *options, str(wheel), cwd=tmp_path)

@@ -53,12 +53,12 @@ def test_numbers_texts_and_lists_are_read_in_the_parameters_unit(value: Any, spe
         ([1], Spec("n", "", "", "box"), "expected an interval [lower, upper], found [1]"),
         (1, Spec("n", "", "", "box"), "expected an interval [lower, upper], found 1"),
         ([2, 1], Spec("n", "", "", "box"), "expected lower <= upper, found [2, 1]"),
-        ([[1, 2], [1, 2, 3]], Spec("n", "", "", "box"), "expected as many lower ends as upper ones, found 2 and 3"),
+        ([[1, 2], [1, 2, 3]], Spec("n", "", "", "box"), "expected as many lower bounds as upper bounds, found 2 and 3"),
         ([[[1]], 2], Spec("n", "", "", "box"), "expected an interval [lower, upper], found [[[1]], 2]"),
         (
             [[1, 2], [1]],
             Spec("* m", "m", "", "table"),
-            "expected a list of rows of equally many numbers in m, found [[1, 2], [1]]",
+            "expected a list of rows of equal length in m, found [[1, 2], [1]]",
         ),
     ],
 )

@@ -103,7 +103,9 @@ def test_a_file_outside_of_the_graphs_folder_is_refused(graph: Path, name: str) 
         dm.load(graph)
 
 
-def test_the_command_line_prompts_and_remembers(graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_the_command_line_prompts_and_stores_the_reply(
+    graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     from dmframe.cli import main
 
     graph.with_name("mine.py").chmod(0o666)

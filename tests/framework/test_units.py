@@ -117,7 +117,7 @@ def test_a_unit_that_does_not_fit_is_refused(value: str, unit: str, text: str) -
 
 
 @pytest.mark.parametrize("unit", ["(m", "m)", "()", "^2", "m^", "m/", "/s", "m^99", "m-s", "m\\s", "(m)^2", "(" * 2000])
-def test_what_is_no_unit_is_called_unreadable(unit: str) -> None:
+def test_what_is_not_a_unit_is_called_unreadable(unit: str) -> None:
     with pytest.raises(UnitError, match=r"cannot read .* as a unit; write it like N m s/rad"):
         to_unit("3 " + unit, "m")
 
@@ -139,7 +139,7 @@ def test_what_is_no_unit_is_called_unreadable(unit: str) -> None:
         (None, "expected a quantity in s, found None: give a number or a text such as '1 s'"),
     ],
 )
-def test_what_is_no_finite_number_is_refused(value: Any, text: str) -> None:
+def test_what_is_not_a_finite_number_is_refused(value: Any, text: str) -> None:
     with pytest.raises(ValueFault) as fault:
         to_unit(value, "s")
     assert str(fault.value) == text

@@ -58,8 +58,8 @@ class Plant:
         Joints that are fixed, by their angles [rad]; the others move.
     viscous, coulomb, v_0
         Friction of each joint: B dq + D tanh(dq / v_0) [N m].
-    sticking, slow, per_torque
-        More friction: (sticking exp(-(dq / slow)^2) + per_torque |tau|) tanh(dq / v_0) [N m].
+    sticking, slow, per_torque, uneven
+        More friction: (sticking exp(-(dq / slow)^2) + per_torque |tau|) s + uneven D s^2, s = tanh(dq / v_0) [N m].
     rotor
         Inertia of each rotor about its joint's axis [kg m^2].
     mass_scale
@@ -78,6 +78,7 @@ class Plant:
     sticking: float = 0.0
     slow: float = 0.05
     per_torque: float = 0.0
+    uneven: float = 0.0
     rotor: Sequence[float] = ()
     mass_scale: Mapping[str, float] = field(default_factory=dict)
     loads: Sequence[Load] = ()
@@ -139,7 +140,8 @@ class Plant:
         dry = self.coulomb
         if self.sticking or self.per_torque:
             dry = dry + self.sticking * np.exp(-((dq / self.slow) ** 2)) + self.per_torque * np.abs(tau)
-        return self.viscous * dq + dry * np.tanh(dq / self.v_0)
+        sign = np.tanh(dq / self.v_0)
+        return self.viscous * dq + dry * sign + self.uneven * self.coulomb * sign * sign
 
     def _moved(self, model: Any, before: Any, q: Sequence[float], step: float) -> Any:
         """The data of a model, at the state of another, or at rest at q."""

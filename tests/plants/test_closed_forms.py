@@ -117,7 +117,7 @@ def test_arm2_is_the_textbooks_arm_symbol_by_symbol(arm2_in_symbols, name):
     assert expected != sp.zeros(*expected.shape)
 
 
-def test_the_symbolic_comparison_sees_a_wrong_sign(arm2_in_symbols):
+def test_the_symbolic_comparison_detects_a_wrong_sign(arm2_in_symbols):
     import sympy as sp
 
     expressions, q, dq, p = arm2_in_symbols

@@ -47,7 +47,7 @@ def test_a_robot_has_its_joints_and_a_task_that_they_can_reach(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_robot_says_where_it_comes_from(name):
+def test_a_robot_states_where_it_comes_from(name):
     source = find_robot(name)
     text = (source.folder / "SOURCE.md").read_text()
     for heading in ("Origin:", "Licence:", "## What the numbers mean", "## Joint limits", "## Known errors"):

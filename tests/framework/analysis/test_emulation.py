@@ -59,7 +59,7 @@ def test_runs_diverge_within_a_factor_of_three_of_it() -> None:
     assert bounded == [True, False]
 
 
-def test_a_graph_that_learns_nothing_has_none() -> None:
+def test_a_graph_without_estimates_has_none() -> None:
     graph = Graph.read("pendulum_kinematic")
     diagram = graph.diagram
     assert emulation_limits(diagram, CLOCK, equilibrium(frozen(diagram), start=graph.start)) == ()

@@ -168,7 +168,7 @@ def test_sums_cancel_and_what_they_conserve_is_found_exactly() -> None:
     assert conserved({k: v for k, v in moves.items() if k != 1}) == []
 
 
-def test_a_span_says_of_what_a_sum_is_made() -> None:
+def test_a_span_states_of_what_a_sum_is_made() -> None:
     span, a, b = Span(), (0, 0), (1, 0)
     assert span.add({a: Fraction(1), b: Fraction(2)}, (7, 0)) is None
     assert span.add({b: Fraction(3)}, (8, 0)) is None

@@ -121,7 +121,7 @@ def test_what_has_no_enclosure_is_not_proved_and_the_reason_is_reported() -> Non
     found = follow(lambda t: 0.01 * ca.log(1 + t), duration=5.0)
     assert found.unproved is not None
     assert (found.unproved.reason, found.until) == (
-        "path: expected operations of which an enclosure is known, found log",
+        "path: expected operations with an enclosure rule, found log",
         0,
     )
 

@@ -263,7 +263,7 @@ def test_a_path_of_ones_own_may_be_taken_instead() -> None:
     assert found.certified <= np.min(sampled("theorem_3", found, count=1000))
 
 
-def test_a_start_off_the_path_is_led_onto_it() -> None:
+def test_a_start_off_the_path_approaches_it() -> None:
     diagram, graph = packaged("theorem_1")
     found = rank_region(diagram, graph.start, duration=20, boxes=200, tube=0.01)
     (first,) = (graph.start["q"],)
@@ -376,8 +376,11 @@ def test_a_random_matrix_is_bounded_below_everywhere(shape: Any) -> None:
 
 
 FAULTS = {
-    "the parameters are forgotten": ("_spread", lambda doubt, half, shape: 0 * doubt[0]),
-    "a ball is taken where a box is meant": ("_spread", lambda doubt, half, shape: _spread(doubt, half, "ball")),
+    "the parameters are forgotten": ("_spread", lambda uncertainty, half, shape: 0 * uncertainty[0]),
+    "a ball is taken where a box is meant": (
+        "_spread",
+        lambda uncertainty, half, shape: _spread(uncertainty, half, "ball"),
+    ),
     "a norm is half of itself": ("_norm", lambda error: _norm(error) / 2),
     "the inverse is taken for smaller": ("_size", lambda X, U: _size(X, U) / 2),
     "the wrong part of E is taken": ("_symmetric", lambda E: _symmetric(E) if len(E.lower) == 1 else E - _symmetric(E)),

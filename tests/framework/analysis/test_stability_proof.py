@@ -149,7 +149,7 @@ def packaged(name: str) -> tuple[Diagram, Any]:
 
 @pytest.mark.parametrize("r", [0.0, 0.7])
 @pytest.mark.parametrize("period", [0.01, T, 0.4])
-def test_a_loop_that_runs_on_a_clock_alone_is_linearised_as_python_control_says(r: float, period: float) -> None:
+def test_a_loop_that_runs_on_a_clock_alone_is_linearised_as_in_python_control(r: float, period: float) -> None:
     linear = linearise(loop(r), clock=period)
     order = [linear.states.index(name) for name in ("law.i[0]", "late.late[0]", "cart.y[0]")]
     assert linear.point[order] == pytest.approx([-(r / 2 + r**3), r / 2 + r**3, r], abs=1e-9)
@@ -248,7 +248,7 @@ def test_directions_in_which_nothing_is_excited_are_split_off_by_structure_alone
     assert hidden.reason == "the signals that vanish at rest do not determine the equilibrium"
 
 
-def test_a_split_that_forgets_a_signal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_split_that_omits_a_signal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     diagram = loop()
     linear = linearise(diagram, clock=T)
     still, p = frozen(diagram).loop, [ball(float(v)) for v in diagram.loop.p_values]
@@ -370,7 +370,7 @@ def test_a_number_that_grows_otherwise_or_falls_is_no_count() -> None:
         switching("downwards")
 
 
-def test_an_equilibrium_that_is_none_is_not_proved() -> None:
+def test_an_equilibrium_that_is_invalid_is_not_proved() -> None:
     diagram = loop(0.7)
     linear = linearise(diagram, clock=T)
     moved = linearise(diagram, linear.point + 0.2, clock=T)

@@ -165,7 +165,7 @@ def test_only_a_quantiser_that_is_declared_is_averaged() -> None:
 
 
 @pytest.mark.parametrize("lie", ["the rest", "no half", "up", "another step", "another signal", "twice", "nothing"])
-def test_a_block_that_declares_what_is_no_rounding_is_refused(lie: str) -> None:
+def test_a_block_that_declares_what_is_not_a_rounding_is_refused(lie: str) -> None:
     with pytest.raises(
         BlockError, match=r"encoder: declares that y_m is rounded by step, expected step floor\(y / step"
     ):

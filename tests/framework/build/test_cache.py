@@ -163,7 +163,7 @@ def test_flags_that_a_compiler_refuses_are_left_out(tmp_path: Path) -> None:
     assert entry == find(tmp_path / "cache", "key")
 
 
-def test_a_compiler_that_fails_says_its_first_complaint_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_compiler_that_fails_states_its_first_complaint_and_leaves_nothing(tmp_path: Path) -> None:
     compiler = script(tmp_path / "cc", 'echo "loop.c:1: error: no space left" >&2; echo "error: more" >&2; exit 1')
     with pytest.raises(CompileFailed, match=r"^loop.c:1: error: no space left$"):
         make(tmp_path / "cache", "key", "int x;", compiler)

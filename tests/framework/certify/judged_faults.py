@@ -22,13 +22,13 @@ from dmframe.block.port import Side
 from dmframe.block.steady import collected, stated_equations
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.assemble import assembled
-from dmframe.certify.steady import hold_claims
+from dmframe.certify.steady import check_claims
 from dmframe.common.errors import DmframeError
 from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.prove.export import digest
 from dmframe.prove.identity import identity
-from dmframe.prove.reals import doubt
+from dmframe.prove.reals import why_not_refuted
 from dmframe.robot import recursion
 from dmframe.robot.bodies import Body
 from dmframe.robot.symbolic import SymbolicRobot
@@ -118,7 +118,7 @@ class _Only(dict[str, AbstractBlock]):
 def reusing(honest: Diagram) -> Iterator[None]:
     """The models of blocks whose classes are those of a diagram without faults are its models.
 
-    That unchanged certificates do not depend on numbers (`hold_claims`) is not checked once more.
+    That unchanged certificates do not depend on numbers (`check_claims`) is not checked once more.
     """
     kinds = [type(block) for block in honest.blocks.values()]
     robots = {id(model.robot): model.robot for model in honest.models.values() if model.robot is not None}
@@ -128,11 +128,11 @@ def reusing(honest: Diagram) -> Iterator[None]:
         return known if type(known.block) is type(block) else model_block(name, block, *rest)
 
     def hold(diagram: Diagram, truths: Any) -> None:
-        hold_claims(replace(diagram, blocks=_Only(diagram.blocks, kinds)), truths)
+        check_claims(replace(diagram, blocks=_Only(diagram.blocks, kinds)), truths)
 
     with (
         mock.patch("dmframe.diagram.diagram.model_block", model),
-        mock.patch("dmframe.certify.claim.hold_claims", hold),
+        mock.patch("dmframe.certify.claim.check_claims", hold),
     ):
         if len(robots) != 1:
             yield
@@ -187,7 +187,9 @@ def _signals(loop: Built, name: str) -> tuple[Signals, Signals, Signals, Signals
     robot = None if model.robot is None else Recalled(model.robot)
     u, x, p = signals_of(name, model.inputs, model.states, {**model.parameters, **model.starts}, robot)
     sizes = {
-        port.name: (*diagram.sizes.of(port.shape), 1)[:2] for port in model.block.truth if diagram.sizes.knows(port)
+        port.name: (*diagram.sizes.of(port.shape), 1)[:2]
+        for port in model.block.truth
+        if diagram.sizes.has_sizes_of(port)
     }
     truth = {port: ca.SX.sym(f"truth.{port}", *size) for port, size in sizes.items()}
     return u, x, p, Signals(name, "truths", truth)
@@ -298,7 +300,9 @@ def judged(mutant: Mutant, loop: Built) -> Result:
             if block and known_blocks()[mutant.owner].side is Side.SOURCE and _free_of_sources(diagram):
                 return Result(mutant, loop.name, "equivalent", "trajectories and their derivatives are free")
             claim = assembled(claim_of(diagram))
-            if not identity(claim, trials=1, seed=0).zero and not doubt(claim, 0):  # `verify` looks for the block, too
+            if not identity(claim, trials=1, seed=0).zero and not why_not_refuted(
+                claim, 0
+            ):  # `verify` looks for the block, too
                 return Result(mutant, loop.name, "refuted", "the residual is not zero")
             if not block and digest(claim) == _digest_without_faults(loop) and same_field(diagram, loop.diagram):
                 return Result(mutant, loop.name, "equivalent", SAME_RATES)

@@ -115,7 +115,7 @@ def test_one_that_is_not_above_zero_at_the_start_is_refused() -> None:
         assert "the weight z of |y|^2 in V is above zero at the start" in verdict.reason
 
 
-def test_one_whose_start_is_not_said_has_to_be_above_zero_at_zero() -> None:
+def test_one_whose_start_is_not_stated_has_to_be_above_zero_at_zero() -> None:
     """V = -(1 + z^2) y^2 / 2, with its rate as it is, calls itself positive."""
 
     def loop(weight: Any) -> Diagram:

@@ -114,7 +114,7 @@ def test_the_exact_point_of_a_refutation_replays_after_json() -> None:
         prime=int(stated["prime"]),
         point=tuple((label, tuple(int(x) for x in values)) for label, values in stated["point"].items()),
         residue=int(stated["residue"]),
-        says=verdict.refutation.says,
+        statement=verdict.refutation.statement,
     )
     assert replay(claim, again) == again.residue != 0
 

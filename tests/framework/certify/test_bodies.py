@@ -51,7 +51,7 @@ def failing(**values: Any) -> list[str]:
     return [item.name for item in checked if not item.holds]
 
 
-def test_it_is_proved_and_said_to_stay_bodies() -> None:
+def test_it_is_proved_and_stated_to_stay_bodies() -> None:
     verdict = verify(changed().diagram, trials=1)
     assert verdict.outcome == "proved", verdict.reason
     assert all(control.refuted for control in verdict.controls)
@@ -71,7 +71,7 @@ def test_a_true_body_or_a_start_below_the_floor_is_no_proof(label: str, value: f
     assert failing(**{label: value}) == [f"dynamics.a_d_hat: {name}" for name in names]
 
 
-def test_a_nominal_body_that_is_none_is_no_proof() -> None:
+def test_a_nominal_body_that_is_invalid_is_no_proof() -> None:
     assert LAW in failing(**{"model.nominal": 0})
 
 
@@ -102,7 +102,7 @@ def _taken_whole(kept: Bodies, s: Any, v: Any) -> Any:
     link = _link(kept)
     values, V = eigen(link.at(s[:10]))
     out = ca.if_else(values <= 0, 1, 0)
-    D = V.T @ link.seen(v[:10]) @ V
+    D = V.T @ link.transformed(v[:10]) @ V
     return _rest(link.parameters(V @ ca.diag(ca.fmax(-out * ca.diag(D), 0)) @ V.T), s)
 
 
@@ -201,5 +201,5 @@ class Undeclared(AbstractBlock):
 
 def test_a_set_of_bodies_names_its_share_and_its_nominal_bodies() -> None:
     texts = [fault.text for fault in Undeclared.contract("undeclared")]
-    assert any("of bodies of a is flor, which is no Positive parameter; did you mean floor" in t for t in texts)
-    assert any("nominal bodies of a are a_nominal, which is no input;" in t for t in texts)
+    assert any("of bodies of a is flor, which is not a Positive parameter; did you mean floor" in t for t in texts)
+    assert any("nominal bodies of a are a_nominal, which is not an input;" in t for t in texts)

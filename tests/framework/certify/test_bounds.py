@@ -99,7 +99,7 @@ def test_an_information_matrix_must_not_start_below_zero() -> None:
     (below,) = starts(-0.5)
     assert fine.holds
     assert not below.holds
-    assert below.name.startswith("toy: start of what G gathers for |")
+    assert below.name.startswith("toy: initial value of G for |")
 
 
 @given(st.lists(st.lists(st.integers(-2, 2), min_size=3, max_size=3), min_size=1, max_size=3), st.booleans())

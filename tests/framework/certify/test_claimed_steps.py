@@ -49,36 +49,36 @@ def steps(**changed: Callable[[Any], Any]) -> Change:
 def test_a_delay_line_of_another_length_is_refused(length: Callable[[Any], Any]) -> None:
     verdict = claiming(line(length))
     assert verdict.outcome == "not_applicable"
-    assert "learner: rows is 6 x 3, which is no whole number of" in verdict.reason
+    assert "learner: rows is 6 x 3, which is not an integer multiple of" in verdict.reason
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (line(lambda new: ca.vertcat(new[4:], new[:4])), "what rows keeps"),
-        (line(lambda new: new / 2), "what rows keeps"),
+        (line(lambda new: ca.vertcat(new[4:], new[:4])), "next value of rows"),
+        (line(lambda new: new / 2), "next value of rows"),
         (
             obeys(lambda u, true: PlantIdentity(-true.m * u.v, true.b * u.v - true.force)),
-            "what the plant's motion obeys",
+            "plant identity",
         ),
         (
             obeys(lambda u, true: PlantIdentity(true.m * u.v, true.b * u.v + true.force)),
-            "what the plant's motion obeys",
+            "plant identity",
         ),
         (
             obeys(lambda u, true: PlantIdentity(true.b * u.v, true.m * u.v - true.force)),
-            "what the plant's motion obeys",
+            "plant identity",
         ),
-        (steps(gain=lambda p: p.other * ca.DM.ones(4)), "what theta becomes"),
-        (steps(gain=lambda p: ca.vertcat(p.gain, p.gain, p.gain, p.other)), "what theta becomes"),
-        (steps(floor=lambda p: p.gain), "what theta becomes"),
+        (steps(gain=lambda p: p.other * ca.DM.ones(4)), "next value of theta"),
+        (steps(gain=lambda p: ca.vertcat(p.gain, p.gain, p.gain, p.other)), "next value of theta"),
+        (steps(floor=lambda p: p.gain), "next value of theta"),
     ],
 )
 def test_a_claim_of_another_order_sign_or_parameter_is_refuted(change: Change, says: str) -> None:
     verdict = claiming(change)
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
-    assert verdict.refutation.says == f"learner: {says}"
+    assert verdict.refutation.statement == f"learner: {says}"
 
 
 def test_the_claim_as_it_is_is_proved() -> None:

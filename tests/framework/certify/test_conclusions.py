@@ -176,7 +176,7 @@ def test_a_stated_consequence_of_a_driven_signal_has_to_follow():
     ],
     ids=["unstable", "fed back", "another sign", "integrator", "moving rate"],
 )
-def test_a_lie_about_what_drives_a_state_leaves_it_open(rate, rest):
+def test_a_false_claim_about_what_drives_a_state_leaves_it_open(rate, rest):
     verdict = _driven(rate, rest)
     assert "z" not in said(verdict, "is bounded")
     assert "z" not in said(verdict, "goes to zero")
@@ -240,7 +240,7 @@ def test_growth_is_never_proved_to_vanish():
     assert "weight" in grown.reason
 
 
-def test_two_loops_in_one_diagram_each_pay_for_their_own():
+def test_two_loops_in_one_diagram_each_dominate_their_own_cross_term():
     from dmframe.diagram import Diagram
 
     one = Graph.read("known_tracking_pi", []).diagram

@@ -233,7 +233,7 @@ def mine(expression: Any) -> Checked:
     return found
 
 
-def test_a_divisor_whose_interval_holds_zero_leaves_a_condition_undecided_and_says_so() -> None:
+def test_a_divisor_whose_interval_holds_zero_leaves_a_condition_undecided_and_reports_it() -> None:
     diagram = with_condition(lambda p, truth: 1 / (truth.K_D - 79))
     assert checked(diagram)["inverse: mine [1/(servo.K_D - 79) > 0]"].value == 1
     verdict = verify(diagram, trials=1, uncertain=intervals(diagram, {"servo.K_D": [70, 90]}))
@@ -262,7 +262,7 @@ def test_a_condition_that_depends_on_a_signal_or_on_a_function_is_undecided() ->
 def test_a_condition_on_nothing_is_not_taken_for_one_that_holds() -> None:
     empty = mine(lambda p, truth: truth.K_D[2:])
     assert (empty.name, empty.holds, empty.how) == ("inverse: mine [nothing > 0]", False, "undecided")
-    assert "found an empty one, of which nothing is decided" in empty.expression
+    assert "expected an expression with elements, found an empty one" in empty.expression
 
 
 @pytest.mark.parametrize(
@@ -373,7 +373,7 @@ def test_the_mass_matrix_of_links_that_are_no_bodies_is_only_sampled_and_that_is
         ({"servo.K_D": [-1, 100]}, "uncertain.servo.K_D: expected a number > 0, found -1"),
     ],
 )
-def test_a_bad_interval_says_what_was_expected(given: dict[str, Any], text: str) -> None:
+def test_a_bad_interval_states_what_was_expected(given: dict[str, Any], text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         intervals(built(), given)
     assert text in str(caught.value)

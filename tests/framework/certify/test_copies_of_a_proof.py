@@ -14,7 +14,7 @@ from dmframe.certify import verify
 from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.graph.graph import Graph
-from dmframe.prove.faults import Control
+from dmframe.prove.faults import InjectedFault
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
 MODULE = importlib.import_module("dmframe.certify.verifier")
@@ -57,7 +57,7 @@ def test_copies_decide_what_no_other_part_needs(diagram: Diagram, monkeypatch: p
 def test_a_fault_that_a_copy_does_not_refute_is_one_that_was_missed(
     diagram: Diagram, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(MODULE, "inject_faults", lambda *_, **__: (Control(Text("gain doubled"), False),))
+    monkeypatch.setattr(MODULE, "inject_faults", lambda *_, **__: (InjectedFault(Text("gain doubled"), False),))
     verdict = verify(diagram, copies=True)
     assert (verdict.outcome, verdict.reason) == ("not_applicable", "seeded faults were not refuted: gain doubled")
 
@@ -70,7 +70,7 @@ def test_a_point_at_which_something_is_left_refutes(
 
     of = Points.at
     monkeypatch.setattr(Points, "at", lambda self, k: replace(of(self, k), zero=k != place))
-    monkeypatch.setattr(MODULE, "doubt", lambda *_: Text())
+    monkeypatch.setattr(MODULE, "why_not_refuted", lambda *_: Text())
     monkeypatch.setattr(MODULE, "refute", lambda *_, **__: pytest.fail("as it should be"))
     with pytest.raises(pytest.fail.Exception, match="as it should be"):
         verify(diagram, copies=True)

@@ -121,7 +121,7 @@ def test_the_composed_rate_is_the_textbooks() -> None:
     ("learner", "nominal", "start"),
     [(Started(w=0.1), True, 0.1), (Started(), True, 0.3), (Learner(), True, 0.3), (Learner(), False, 0.0)],
 )
-def test_an_estimate_starts_where_its_parameter_says_else_at_its_nominal_else_at_zero(
+def test_an_estimate_starts_where_its_parameter_states_else_at_its_nominal_else_at_zero(
     learner: AbstractBlock, nominal: bool, start: float
 ) -> None:
     built = diagram(learner, **({"nominal": Nominal()} if nominal else {}))
@@ -184,7 +184,7 @@ def test_a_true_value_or_a_weight_that_is_not_that_of_the_law_is_refuted(estimat
     [
         (
             lambda x, truth: {"w": TrueValue(truth.theta), "v": TrueValue(0)},
-            "learner: certificate() gives the true value of v, which is none of its estimates; choose from w",
+            "learner: certificate() gives the true value of v, which is not one of its estimates; choose from w",
         ),
         (
             lambda x, truth: {},
@@ -232,7 +232,7 @@ def moves(law: Callable[[Signals, SX], dict[str, SX]], **stated: Any) -> type[Ad
     [
         (
             lambda u, error: {"w": -error, "v": error},
-            "learner: direction() moves v, which is none of its estimates; choose from w",
+            "learner: direction() moves v, which is not one of its estimates; choose from w",
         ),
         (lambda u, error: {}, "learner: direction() moves nothing, and omits the estimate w"),
     ],
@@ -263,17 +263,17 @@ def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_refused() -> No
     [
         (
             {"estimates": (Adapted("w", "n", "m/s^2", gain="Gama"),)},
-            "the gain of the estimate w is Gama, which is no parameter; did you mean Gamma?",
+            "the gain of the estimate w is Gama, which is not a parameter; did you mean Gamma?",
         ),
         (
             {"estimates": (Adapted("w", "n", "m/s^2"),)},
-            "the gain of the estimate w is none, which is no parameter; choose from",
+            "the gain of the estimate w is none, which is not a parameter; choose from",
         ),
         (
             {"estimates": (Adapted("w", "n", "m/s^2", gain="Gamma", nominal="w_nom"),)},
-            "the estimate w starts at w_nom, which is no input; did you mean w_nominal?",
+            "the estimate w starts at w_nom, which is not an input; did you mean w_nominal?",
         ),
-        ({"driven_by": "y"}, "is driven by y, which is no input and no output; choose from"),
+        ({"driven_by": "y"}, "is driven by y, which is neither an input nor an output; choose from"),
         ({"states": (State("w", "n", "m/s^2"),)}, "declares the state w twice"),
     ],
 )
@@ -290,7 +290,7 @@ def test_a_declaration_of_another_type_is_refused_when_the_class_is_made() -> No
 
 
 def test_a_parameter_that_every_adapting_block_is_given_is_not_declared_again() -> None:
-    with pytest.raises(BlockError, match="Again: declares the parameter leak, which it is given; leave it out"):
+    with pytest.raises(BlockError, match="Again: declares the parameter leak, which the framework adds; remove it"):
 
         class Again(Learner):
             leak: Scalar = Positive("", "1/s", default=1.0)
@@ -300,7 +300,7 @@ def test_estimates_of_a_block_that_does_not_adapt_are_refused() -> None:
     class Plain(Drift):
         estimates: Estimates = (Adapted("x", "n", gain="theta"),)
 
-    assert any("declares estimates, and is no AdaptingBlock" in str(fault) for fault in Plain.contract("plain"))
+    assert any("declares estimates, but is not an AdaptingBlock" in str(fault) for fault in Plain.contract("plain"))
 
 
 class Minimal(AbstractBlock):
@@ -327,14 +327,14 @@ class Minimal(AbstractBlock):
         return Certificate(**stated[self.says], supply=-ca.dot(u.x, x.w - truth.theta))
 
 
-def test_a_block_of_its_own_law_says_what_it_estimates_in_its_certificate() -> None:
+def test_a_block_of_its_own_law_states_what_it_estimates_in_its_certificate() -> None:
     verdict = proof(Minimal(w_box=(0, 1)))
     assert verdict.outcome == "proved", verdict.reason
     assert "learner.w: true value inside the box" in [item.name for item in verdict.conditions]
     np.testing.assert_allclose(true_values(diagram(Minimal()))["learner.w"], [0.5, 0.8])
 
 
-def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
+def test_a_projected_state_has_to_be_declared_an_estimate() -> None:
     verdict = proof(Minimal(w_box=(0, 1), says="storage"))
     assert verdict.outcome == "not_applicable"
     assert "learner.w is projected, but is not stored as one square of its error" in verdict.reason
@@ -342,10 +342,12 @@ def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
     assert proof(Minimal(says="storage")).outcome == "proved"
 
 
-def test_an_estimate_that_is_no_state_is_refused() -> None:
+def test_an_estimate_that_is_not_a_state_is_refused() -> None:
     verdict = proof(Minimal(says="nothing"))
     assert verdict.outcome == "not_applicable"
-    assert "learner: certificate() gives a true value for v, which is none of its states; choose from" in verdict.reason
+    assert (
+        "learner: certificate() gives a true value for v, which is not one of its states; choose from" in verdict.reason
+    )
 
 
 def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_names() -> None:
@@ -359,7 +361,7 @@ def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_n
         assert panel.get_ylabel().startswith("w")
 
 
-def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_editor() -> None:
+def test_every_adapting_block_states_what_its_options_are_on_its_page_and_to_an_editor() -> None:
     adapting = {name: kind for name, kind in block_types().items() if issubclass(kind, AdaptingBlock)}
     assert len(adapting) == 12
     schema = json_schema()["$defs"]
@@ -431,7 +433,7 @@ def test_a_memory_that_starts_below_zero_is_no_storage_however_it_is_started(
         assert verify(spread).outcome == "not_applicable"
 
 
-def test_what_a_method_says_of_no_estimate_is_refused() -> None:
+def test_what_a_method_states_of_no_estimate_is_refused() -> None:
     class Foreign(Fitter):
         def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
             return {"w_hat": Fit(x.w - u.theta_m, ca.SX.eye(2), p.R * ca.SX.ones(2))}
@@ -449,8 +451,8 @@ def test_what_a_method_says_of_no_estimate_is_refused() -> None:
             return {"w": ca.SX.ones(2)}
 
     texts = {
-        Foreign: "fits() returns w_hat, which is none of its estimates",
-        Stranger: "nominal() returns ww, which is none of its estimates; did you mean w?",
+        Foreign: "fits() returns w_hat, which is not one of its estimates",
+        Stranger: "nominal() returns ww, which is not one of its estimates; did you mean w?",
         Nothing: "expected nominal() to return values by estimate, found NoneType",
     }
     for kind, text in texts.items():

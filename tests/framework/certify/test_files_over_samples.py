@@ -50,11 +50,11 @@ def test_the_file_itself_is_read_and_holds() -> None:
 FALSE: dict[str, tuple[Change, str]] = {
     "V that holds a state of which nothing says the move": (
         lambda f: f.update(stored_states=[]),
-        "V, or what it is made of, holds smoother.f, which has no move",
+        "V depends on smoother.f, which has no rate",
     ),
     "steps from something else than the state": (
         lambda f: redirect(f, "learner.theta: theta", "learner.theta: h0"),
-        "expected learner.theta itself",
+        "expected the state learner.theta",
     ),
     "a delay line from something else than the state": (
         lambda f: redirect(f, "learner.rows: before", "learner.theta: h0"),
@@ -62,11 +62,11 @@ FALSE: dict[str, tuple[Change, str]] = {
     ),
     "a true value that moves": (
         lambda f: redirect(f, "learner.theta: true", "learner.theta: h0"),
-        "holds .*, which has no move",
+        "V depends on .*, which has no rate",
     ),
     "a gain that moves": (
         lambda f: redirect(f, "learner.theta: gain", "learner.theta: h0"),
-        "holds .*, which has no move",
+        "V depends on .*, which has no rate",
     ),
     "a momentum that a sensor measures": (
         lambda f: next(s for s in f["symbols"] if s["label"] == "carts.v").update(kind="noise"),
@@ -83,7 +83,10 @@ FALSE: dict[str, tuple[Change, str]] = {
         lambda f: part(f, "learner")["lines"][0].update(state="x"),
         "expected a move of learner.x",
     ),
-    "a weight over samples": (lambda f: part(f, "smoother").update(weight="kappa"), "none over samples, found kappa"),
+    "a weight over samples": (
+        lambda f: part(f, "smoother").update(weight="kappa"),
+        "none in discrete time, found kappa",
+    ),
     "a flow of samples": (lambda f: f.update(operator="flow"), ""),
     "a move of time": (lambda f: f["moves"].update(t=f["moves"]["learner.count"]), "found one of t"),
     "a plant's move of a parameter": (

@@ -194,7 +194,7 @@ def test_no_condition_of_the_proof_is_made_without_a_margin_or_a_list() -> None:
     assert {name: found for name, found in faults.items() if found} == {}
 
 
-def test_the_lint_sees_a_condition_without_either() -> None:
+def test_the_lint_reports_a_condition_without_either() -> None:
     assert constructions('Checked("a", "b", None, holds, "c")')
     assert constructions('Checked("a", "b", 1.0, True, "c", how="exact")')
     assert not constructions('Checked("a", "b", None, False, "c")')

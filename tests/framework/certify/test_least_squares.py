@@ -74,7 +74,7 @@ def positive(rng: random.Random, size: int) -> Matrix:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_step_moves_v_by_what_it_says_for_every_metric(seed: int) -> None:
+def test_a_step_moves_v_by_what_it_states_for_every_metric(seed: int) -> None:
     rng, n = random.Random(seed), 4
     W, nu, h, theta, true = positive(rng, n), Fraction(1, 9), column(rng, n), column(rng, n), column(rng, n)
     eta, error = 1 + abs(number(rng)), [a - b for a, b in zip(theta, true, strict=True)]
@@ -141,7 +141,7 @@ def steps_of(size: int, *, box: bool = True) -> tuple[LeastSquaresSteps, list[An
     return LeastSquaresSteps("theta", "G", *named, *own), [*symbols.values(), h, y, ends]
 
 
-def test_the_term_says_the_same_exactly_at_random_symmetric_memories() -> None:
+def test_the_term_states_the_same_exactly_at_random_symmetric_memories() -> None:
     steps, symbols = steps_of(3, box=False)
     claim = ca.Function("claim", symbols, [steps.change + steps.decrease - steps.residual, steps.change])
     rng = random.Random(2)
@@ -309,8 +309,8 @@ def test_an_estimator_by_least_squares_is_proved_over_samples() -> None:
     assert found.outcome == "proved", found.reason
     assert all(control.refuted for control in found.controls)
     assert {control.fault for control in found.controls} >= {
-        "learner.theta: its move reversed",
-        "learner.G: its move reversed",
+        "learner.theta: increment reversed",
+        "learner.G: increment reversed",
         "learner.retention changed in the equations only",
         "learner.floor changed in the equations only",
         "learner.gain changed in the equations only",
@@ -335,18 +335,18 @@ def test_an_estimator_by_least_squares_is_proved_over_samples() -> None:
 def test_another_law_is_refuted(lie: str, state: str) -> None:
     found = verdict(lie=lie)
     assert found.refutation is not None, found.reason
-    assert found.refutation.says == f"learner: what {state} becomes"
+    assert found.refutation.statement == f"learner: next value of {state}"
 
 
 @pytest.mark.parametrize(
     ("lie", "says"),
     [
         ("one_state", "expected their memory to be a state of its own, found theta"),
-        ("unknown_state", "speaks of H, which is none of its sampled states"),
+        ("unknown_state", "names H, which is not one of its sampled states"),
         ("short", "expected lower triangles of 3 x 1, found 2 x 1"),
-        ("elsewhere", "start for G from something else than that state"),
-        ("moving", "the retention of the steps of theta moves"),
-        ("own_rows", "the rows of theta hold G itself"),
+        ("elsewhere", "start for G from another value than that state"),
+        ("moving", "the retention of the steps of theta varies"),
+        ("own_rows", "the rows of theta contain G itself"),
         ("two_factors", "expected one retention, found 2 x 1"),
     ],
 )

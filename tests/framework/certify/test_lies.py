@@ -59,11 +59,11 @@ class Eater(AbstractBlock):
         return Certificate((Square(x.z),), spent, supply=-1.5 * v * x.z, consumes=eaten)
 
 
-def test_one_square_does_not_pay_for_four_elements() -> None:
+def test_one_square_does_not_dominate_four_elements() -> None:
     """[[-1, 1.5], [1.5, -1.25]] has the eigenvalue 0.38."""
     verdict = verify(Diagram.build({"a": Dominating(), "b": Eater()}))
     assert verdict.outcome == "not_applicable"
-    assert "expected the squares that pay, and their shares, to be of one length" in verdict.reason
+    assert "expected the dominating squares and their factors to be of one length" in verdict.reason
 
 
 def test_a_sentence_does_not_make_an_equation_stable() -> None:

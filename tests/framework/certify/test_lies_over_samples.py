@@ -39,7 +39,7 @@ def test_steps_that_are_never_taken_are_refuted(before: bool) -> None:
     found = verdict(lies=True, before=before)
     assert found.outcome == "refuted"
     assert found.refutation is not None
-    assert found.refutation.says == "learner: what theta becomes"
+    assert found.refutation.statement == "learner: next value of theta"
 
 
 def test_the_same_steps_twice_are_proved() -> None:
@@ -71,7 +71,7 @@ def test_a_block_that_stores_nothing_loses_and_gains_nothing(lost: float, gained
     found = verify(Diagram.build(blocks), trials=1)
     assert found.outcome == "refuted"
     assert found.refutation is not None
-    assert found.refutation.says == "memory: V(next) - V"
+    assert found.refutation.statement == "memory: V(next) - V"
 
 
 def test_a_memory_alone_is_proved_and_a_stored_term_without_a_name_is_counted() -> None:

@@ -34,7 +34,7 @@ def test_a_motion_is_that_of_the_plant_with_its_commands_held() -> None:
     claim = claim_of(built(Learner()))
     (part,) = [part for part in claim.parts if part.certificate.steps]
     moved = Moved(claim, part, part.certificate.steps[0])
-    assert [lesson.stored for lesson in moved.lessons] == [False]
+    assert [row.stored for row in moved.estimator_rows] == [False]
     motion = moved.motion(np.random.default_rng(3))
     left = moved.left(motion, T, 0.6)
     c, m, b = motion.commands(T * np.arange(120)).T, np.array(M), np.array(B)
@@ -49,7 +49,7 @@ def test_a_motion_is_that_of_the_plant_with_its_commands_held() -> None:
     np.testing.assert_allclose(left.left, left.y - left.predicted, atol=1e-12)
 
 
-def test_a_command_is_replaced_wherever_it_stands() -> None:
+def test_a_command_is_replaced_wherever_it_appears() -> None:
     x, y, free = (ca.SX.sym(name, 2) for name in ("x", "y", "free"))
     command = ca.sin(x) * y
 
@@ -171,7 +171,7 @@ class Reading(Learner):
         (Reading(), Direct(), "what is measured holds a command of the same instant"),
     ],
 )
-def test_what_is_not_compared_is_assumed_and_the_headline_says_so(learner: Learner, carts: Carts, why: str) -> None:
+def test_what_is_not_compared_is_assumed_and_the_headline_states_it(learner: Learner, carts: Carts, why: str) -> None:
     found = verdict(learner, carts)
     assert found.rows_assumed
     assert found.headline.endswith("; that its rows follow from the plant is assumed")

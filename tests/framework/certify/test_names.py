@@ -34,7 +34,7 @@ def test_the_rate_of_a_state_never_takes_the_name_of_a_signal(other):
     assert said(verdict, "goes to zero") == ["x", "d(x)/dt" if other == "dx" else "dx"]
 
 
-def test_a_signal_by_the_name_of_a_rate_in_another_block_is_not_said_to_vanish():
+def test_a_signal_by_the_name_of_a_rate_in_another_block_is_not_stated_to_vanish():
     filtered = _block(
         "x", lambda x: {"x": -x.x}, lambda x: Certificate((Square(x.x),), (Square(x.x),)), Side.CONTROLLER
     )
@@ -61,7 +61,7 @@ def test_two_vectors_that_nothing_prints_are_distinguished():
     assert said(verdict, "goes to zero") == ["expression 2 of y, x, z (toy)"]
 
 
-def test_of_two_vectors_that_differ_far_away_only_none_stands_for_the_other():
+def test_of_two_vectors_that_differ_far_away_only_neither_replaces_the_other():
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         near = ca.erf(x.x * x.y)
         far = near + ca.fmax(x.x * x.y - 1000, 0)

@@ -211,7 +211,7 @@ def test_a_truth_that_moves_is_refused_though_dv_dt_of_the_diagram_vanishes() ->
     assert verify(diagram(Learner(cheats=True), moves="state"), trials=1).outcome == "proved"
 
 
-def test_a_truth_made_of_states_that_stands_still_is_found_to() -> None:
+def test_a_truth_made_of_states_that_is_constant_is_found_to() -> None:
     verdict = verify(diagram(Learner(w_box=[0, 1]), moves="kept"), trials=1)
     assert verdict.outcome == "proved"
     assert STILL in [item.name for item in verdict.conditions]

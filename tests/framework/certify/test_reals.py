@@ -52,7 +52,7 @@ UNDECIDED = {
     "a power, where it is real": (lambda y: -(y**1.5), lambda y: Square(y**1.25, ONE), "property of a function"),
     "tanh, which is odd": (lambda y: ca.tanh(-y), monotone(1), "property of a function"),
     "a root of what is negative": (
-        lambda y: -y * ca.sqrt(-1 - y * y) - y, lambda y: Square(y, 2 + 0 * y), "at none of 100 random points",
+        lambda y: -y * ca.sqrt(-1 - y * y) - y, lambda y: Square(y, 2 + 0 * y), "undefined at all of 100 random",
     ),
 }  # fmt: skip
 
@@ -64,13 +64,13 @@ def test_what_is_true_but_for_the_rounding_of_literals_is_proved(name: str) -> N
 
 
 @pytest.mark.parametrize("name", REFUTED)
-def test_a_small_lie_is_refuted_and_not_taken_for_rounding(name: str) -> None:
+def test_a_small_false_claim_is_refuted_and_not_taken_for_rounding(name: str) -> None:
     verdict = decide(*REFUTED[name])
     assert verdict.outcome == "refuted", verdict.reason
 
 
 @pytest.mark.parametrize("name", UNDECIDED)
-def test_what_no_real_point_contradicts_is_not_decided_and_says_why(name: str) -> None:
+def test_what_no_real_point_contradicts_is_not_decided_and_gives_the_reason(name: str) -> None:
     rate, spent, why = UNDECIDED[name]
     verdict = decide(rate, spent)
     assert verdict.outcome == "not_applicable"

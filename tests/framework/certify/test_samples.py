@@ -170,11 +170,11 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
     ]
     assert all(control.refuted for control in verdict.controls)
     assert {control.fault for control in verdict.controls} >= {
-        "learner.theta: its move reversed",
-        "learner.rows: its move reversed",
-        "learner: what V loses dropped",
-        "learner: what V gains dropped",
-        "learner: the rest of its relation dropped",
+        "learner.theta: increment reversed",
+        "learner.rows: increment reversed",
+        "learner: decrease of V dropped",
+        "learner: increase of V dropped",
+        "learner: remainder of its plant identity dropped",
         "learner.gain changed in the equations only",
         "learner.floor changed in the equations only",
     }
@@ -187,28 +187,28 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
 @pytest.mark.parametrize(
     ("lie", "says"),
     [
-        ("greedy", "learner: what theta becomes"),
-        ("cut", "learner: what theta becomes"),
-        ("other_gain", "learner: what theta becomes"),
+        ("greedy", "learner: next value of theta"),
+        ("cut", "learner: next value of theta"),
+        ("other_gain", "learner: next value of theta"),
         ("forgetful", "learner: what rows keeps"),
         ("backwards", "learner: what the plant's motion obeys"),
-        ("unsolved", "learner: the equation that its output solves"),
+        ("unsolved", "learner: equation solved by its output"),
     ],
 )
-def test_a_lie_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
+def test_a_false_claim_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
     verdict = verify(diagram(lie=lie))
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
-    assert verdict.refutation.says == says
+    assert verdict.refutation.statement == says
     assert verdict.refutation.blame == ("learner",)
     assert verdict.samples is not None
     assert replay(assembled(verdict.samples), verdict.refutation) == verdict.refutation.residue != 0
 
 
 def test_v_of_what_moves_between_samples_is_no_claim() -> None:
-    assert "learner: V holds carts.y, of which nothing says what it is" in verify(diagram(lie="stores_y")).reason
-    assert "V holds learner.c_old" not in verify(diagram(lie="moving")).reason
-    assert "learner: the true of the steps of theta moves" in verify(diagram(lie="moving")).reason
+    assert "learner: V contains carts.y, without its value one sample later" in verify(diagram(lie="stores_y")).reason
+    assert "V contains learner.c_old" not in verify(diagram(lie="moving")).reason
+    assert "learner: the true of the steps of theta varies" in verify(diagram(lie="moving")).reason
 
 
 @pytest.mark.parametrize(
@@ -221,16 +221,16 @@ def test_conditions_are_decided_at_the_graphs_numbers(options: dict[str, float],
     assert verdict.reason == f"the identity holds, but a condition fails: learner: {failing}"
 
 
-def test_a_filter_loses_what_it_says() -> None:
+def test_a_filter_loses_what_it_states() -> None:
     plain = Diagram.build({"smoother": Smoother(), "learner": Learner(), "carts": Carts()})
     assert verify(plain).outcome == "proved"
     unstable = Diagram.build({"smoother": Smoother(a=1.5), "carts": Carts(), "learner": Learner()})
-    assert "smoother: weight of term 1 of what V loses" in verify(unstable).reason
+    assert "smoother: weight of term 1 of the decrease of V" in verify(unstable).reason
     boastful = Diagram.build({"smoother": Smoother(boasts=True), "carts": Carts(), "learner": Learner()})
-    assert verify(boastful).refutation.says == "smoother: V(next) - V"  # type: ignore[union-attr]
+    assert verify(boastful).refutation.statement == "smoother: V(next) - V"  # type: ignore[union-attr]
 
 
-def test_along_a_run_v_falls_by_what_numpy_says_and_the_true_values_are_found() -> None:
+def test_along_a_run_v_falls_by_what_numpy_states_and_the_true_values_are_found() -> None:
     run = simulate(diagram(), 20.0, clock=T, start={"y": [0.1, -0.2]})
     theta, true = run.states["learner.theta"].reshape(-1, 2, 2), np.array([M, B]).T
     V = np.sum((theta - true) ** 2, axis=(1, 2)) / (2 * 2.0)
@@ -297,7 +297,7 @@ class MisshapenLearner(Learner):
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ("name", "speaks of thetta, which is none of its sampled states"),
+        ("name", "names thetta, which is not one of its sampled states"),
         ("shape", "the steps of theta: expected a gain of 4 x 1, found 1 x 1"),
         ("box", "the steps of theta: expected a box of two ends, found 1"),
     ],
@@ -398,7 +398,7 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
 @pytest.mark.parametrize(
     ("lie", "says"),
     [
-        ("all_is_residual", "what V gains holds f.f, which V holds too"),
+        ("all_is_residual", "the residual contains f.f, which V also contains"),
         (
             "subclass",
             "expected storage[0] to be a Square, an InformationSquare, a Potential or a LogDet, found a Nothing",
@@ -410,12 +410,12 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
         ("named_as_gain", "expected a constant's name to be one of its own, found 'a'"),
         ("no_name", "expected a constant's name to be one of its own"),
         ("MX", "f: certificate(), "),
-        ("never_stores", "identically zero, so that nothing would be proved: f: when rows is stored"),
+        ("never_stores", "identically zero, so that nothing would be proved: f: storage condition of rows"),
         ("empty", "identically zero, so that nothing would be proved: f: V(next) - V; f: term 1 of V"),
-        ("time", "the momentum of a relation holds more than what the plant moves"),
-        ("jumps", "the momentum of a relation holds more than what the plant moves"),
-        ("own_memory", "the momentum of a relation holds more than what the plant moves"),
-        ("no_relation", "identically zero, so that nothing would be proved: f: the rest of a relation"),
+        ("time", "the momentum of a relation depends on more than continuous states"),
+        ("jumps", "the momentum of a relation depends on more than continuous states"),
+        ("own_memory", "the momentum of a relation depends on more than continuous states"),
+        ("no_relation", "identically zero, so that nothing would be proved: f: remainder of a plant identity"),
     ],
 )
 def test_a_claim_that_is_false_or_empty_is_none(lie: str, says: str) -> None:
@@ -427,8 +427,8 @@ def test_a_claim_that_is_false_or_empty_is_none(lie: str, says: str) -> None:
 def test_two_relations_are_two_controls() -> None:
     verdict = verify(filtered(lie="two_relations"))
     assert verdict.outcome == "proved", verdict.reason
-    dropped = [control for control in verdict.controls if "relation" in control.fault]
-    assert [control.fault for control in dropped] == [f"f: the rest of its relation {k} dropped" for k in (1, 2)]
+    dropped = [control for control in verdict.controls if "plant identity" in control.fault]
+    assert [control.fault for control in dropped] == [f"f: remainder of its plant identity {k} dropped" for k in (1, 2)]
     assert all(control.refuted for control in dropped)
 
 
@@ -445,7 +445,7 @@ def test_what_the_framework_does_after_a_sample_is_a_part_of_the_map() -> None:
     verdict = verify(filtered(BoxedFilter))
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
-    assert verdict.refutation.says == "f: V(next) - V"
+    assert verdict.refutation.statement == "f: V(next) - V"
 
 
 class Steps(AbstractBlock):
@@ -494,13 +494,13 @@ class Steps(AbstractBlock):
 @pytest.mark.parametrize(
     ("lie", "says"),
     [
-        ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: the rows of w"),
-        ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: the rows of w"),
-        ("own_rows", "the rows of w hold w itself"),
-        ("no_box", "the identity holds, but a condition fails: f: box of w holds something"),
+        ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
+        ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
+        ("own_rows", "the rows of w contain w itself"),
+        ("no_box", "the identity holds, but a condition fails: f: box of w is not empty"),
     ],
 )
-def test_steps_that_learn_nothing_are_no_claim(lie: str, says: str) -> None:
+def test_steps_without_information_are_no_claim(lie: str, says: str) -> None:
     assert verify(filtered(Steps)).outcome == "proved"
     verdict = verify(filtered(Steps, lie=lie))
     assert verdict.outcome == "not_applicable"
@@ -511,9 +511,7 @@ def test_rows_may_hold_any_function_of_what_is_measured() -> None:
     assert verify(filtered(Steps, lie="root")).outcome == "proved"
 
 
-@pytest.mark.parametrize(
-    ("lie", "says"), [("odd", "but only by a property of a function"), ("folded", "no more than the rounding")]
-)
+@pytest.mark.parametrize(("lie", "says"), [("odd", "property of a function"), ("folded", "no more than the rounding")])
 def test_what_the_field_cannot_decide_is_not_refuted(lie: str, says: str) -> None:
     verdict = verify(filtered(Steps, lie=lie))
     assert verdict.outcome == "not_applicable"
@@ -528,9 +526,9 @@ def assumed(diagram: Diagram) -> str:
 
 
 def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
-    assert "divide" not in assumed(filtered(Steps))
-    assert "divide" not in assumed(diagram())
-    assert "f: what its samples divide by stays away from zero" in assumed(filtered(Steps, lie="pole"))
+    assert "divisors in its samples" not in assumed(filtered(Steps))
+    assert "divisors in its samples" not in assumed(diagram())
+    assert "f: the divisors in its samples stay away from zero" in assumed(filtered(Steps, lie="pole"))
     verdict = verify(filtered(Steps, lie="no_sample"))
     assert verdict.outcome == "not_applicable"
     assert "f.gain-2) is not zero" in verdict.reason.replace("(-2+f.gain)", "(f.gain-2)")
@@ -538,8 +536,13 @@ def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
 
 def test_a_residual_without_a_bound_and_rows_without_a_relation_are_listed() -> None:
     said = assumed(filtered(Steps))
-    assert "f: the plant's motion obeys what its rows say; the block states no relation that does" in said
-    assert "other: the residual besides the steps, made of carts.y, is small: nothing bounds it" in said
+    assert (
+        "f: the plant's motion satisfies the equation of its rows; the block states no relation that implies it" in said
+    )
+    assert (
+        "other: the residual other than that of the steps, a function of carts.y, is small: no bound of it is proved"
+        in said
+    )
     assert "no relation" not in assumed(diagram())
     left = "what its data leave unexplained and a residual that nothing bounds"
     verdict = verify(filtered(Steps))
@@ -730,7 +733,7 @@ def test_a_field_of_continuous_time_is_refused_over_samples(name: str) -> None:
     assert f"expected no {name} of a block whose stored states are sampled" in verdict.reason
 
 
-def test_what_holds_in_continuous_time_alone_is_not_said_of_a_claim_over_samples() -> None:
+def test_what_holds_in_continuous_time_alone_is_not_stated_of_a_claim_over_samples() -> None:
     verdict = verify(filtered())
     assert verdict.outcome == "proved"
     assert verdict.samples is not None

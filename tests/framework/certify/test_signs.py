@@ -64,7 +64,9 @@ def test_numbers_of_no_parameter_and_of_another_size_are_refused(arm2: tuple[Cla
     for label, values in (("dynamics.Gamma", ["1"]), ("arm.q", ["1", "1"]), ("unknown.k", ["1"])):
         text = json.loads(to_json(claim, numbers))
         text["numbers"][label] = values
-        with pytest.raises(ValueFault, match=f"expected numbers of its parameters, each of its size, found {label}"):
+        with pytest.raises(
+            ValueFault, match=f"expected numbers of its parameters, with as many values as elements, found {label}"
+        ):
             read_file(json.dumps(text))
 
 

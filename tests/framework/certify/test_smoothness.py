@@ -305,7 +305,7 @@ def test_what_is_driven_may_not_jump_nor_may_a_path_that_it_holds() -> None:
     assert "toy: what drives" in broken.reason
 
 
-def test_a_spent_vector_that_jumps_does_not_go_to_zero() -> None:
+def test_a_dissipated_vector_that_jumps_does_not_go_to_zero() -> None:
     def loop(spent: Callable[[Any], Any]) -> Diagram:
         return scalar_loop(
             "y z",

@@ -35,7 +35,7 @@ def says(verdict: Verdict) -> set[tuple[str, str]]:
     return {(item.signal, item.says) for item in verdict.statements}
 
 
-def test_a_spring_that_gives_way_is_proved_and_bounds_what_pulls_it() -> None:
+def test_a_softening_spring_is_proved_and_bounds_what_pulls_it() -> None:
     verdict = verify(pulled())
     assert verdict.outcome == "proved"
     assert len(verdict.controls) > 3

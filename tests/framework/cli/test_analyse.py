@@ -91,7 +91,7 @@ class Line(AbstractBlock):
     assert "This loop is discrete-time" in said.out
 
 
-def test_a_horizon_that_is_no_time_is_refused(dmframe: Any) -> None:
+def test_a_horizon_that_is_not_a_time_is_refused(dmframe: Any) -> None:
     said = dmframe("analyse", "pendulum", "--horizon", "-1")
     assert said.status == 2
     assert said.err == "dmframe: horizon -1.0: expected a time above zero\n"

@@ -37,7 +37,7 @@ def test_a_written_claim_is_checked_again_and_a_false_one_is_not_accepted(dmfram
     path.write_text("{}")
     done = checked(path)
     assert done.returncode == 2
-    assert "a claim: expected what `to_json` writes" in done.stderr
+    assert "a claim: expected the format of `to_json`" in done.stderr
 
 
 def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
     (tmp_path / "claim.json").write_text(json.dumps(found))
     done = checked(tmp_path / "claim.json")
     assert done.returncode == 2
-    assert "a claim: expected a part that stores something" in done.stderr
+    assert "a claim: expected a part with a stored term" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
         (("pendulum", "--claim", "none/c.json"), "none"),
     ],
 )
-def test_where_there_is_no_one_claim_to_write_it_says_so(
+def test_without_a_single_claim_to_write_this_is_reported(
     dmframe: Any, tmp_path: Path, words: tuple[str, ...], says: str
 ) -> None:
     said = dmframe("verify", *words)

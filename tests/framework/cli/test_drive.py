@@ -44,7 +44,7 @@ def test_a_drive_writes_what_a_run_writes_and_is_played_again(dmframe: Any) -> N
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_brings_the_robot_to_rest_and_what_was_done_is_kept(
+def test_a_signal_stops_the_robot_and_what_was_done_is_kept(
     dmframe: Any, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     stops, reads = list[float](), []
@@ -102,7 +102,7 @@ def test_wrong_arguments_are_refused(dmframe: Any) -> None:
         (["--robot", "abb"], "--robot abb: unknown kind of robot; "),
         (["--robot", "sim:-1"], "--robot sim:-1: expected a delay of commands in samples"),
         (["--robot", "sim", "--ramp", "-1"], "--ramp -1: expected a number in s of 0 or above"),
-        (["--robot", "sim", "--seconds", "0"], "--seconds 0: expected a time above zero"),
+        (["--robot", "sim", "--seconds", "0"], "--until 0: expected a time above zero"),
         (["--robot", "ur:x", "--patience", "0"], "--patience 0: expected a time above zero"),
         (["--robot", "ur_rtde", "--limits", "arm.yaml"], "--robot ur_rtde: expected the address of an arm"),
         (["--robot", "sim", "--limits", "none.yaml"], "expected a limits file, found none"),

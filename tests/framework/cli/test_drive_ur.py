@@ -117,7 +117,7 @@ def last_heartbeat(held: VirtualRobot) -> float:
     return held.registers.written["input_int_register_24"] * held.dt
 
 
-def test_while_a_client_is_frozen_the_arm_comes_to_rest_and_it_says_so_when_it_wakes() -> None:
+def test_while_a_client_is_frozen_the_arm_comes_to_rest_and_it_reports_it_when_it_wakes() -> None:
     with robot(series="cb3") as held, until(held, FAST) as process:
         trace = Trace(held)
         process.send_signal(signal.SIGSTOP)
@@ -150,7 +150,7 @@ def test_when_a_client_is_killed_the_arm_comes_to_rest() -> None:
 
 @pytest.mark.usefixtures("without_v")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_brings_the_arm_to_rest_gently_and_all_files_are_there(
+def test_a_signal_stops_the_arm_gently_and_all_files_are_there(
     dmframe: Any, arm: VirtualRobot, number: signal.Signals
 ) -> None:
     class Sent:

@@ -96,11 +96,11 @@ FAULTS = {
     ),
     "a horizon with rank": (
         ("analyse", "theorem_3", "--rank", "--horizon", "nan"),
-        "dmframe: --horizon: it has no effect with --rank; leave one out\n",
+        "dmframe: --until: it has no effect with --rank; leave one out\n",
     ),
     "a horizon that is no number": (
         ("analyse", "pendulum", "--horizon", "nan"),
-        "dmframe: --horizon nan: expected a quantity in s, found 'nan': the number must be finite\n",
+        "dmframe: --until nan: expected a quantity in s, found 'nan': the number must be finite\n",
     ),
     "a tube that is no number": (
         ("analyse", "theorem_3", "--rank", "--tube", "nan"),
@@ -148,7 +148,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("case", FAULTS)
-def test_a_bad_call_gives_status_2_and_says_what_is_right(case: str, dmframe: Any, tmp_path: Path) -> None:
+def test_a_bad_call_gives_status_2_and_states_what_is_right(case: str, dmframe: Any, tmp_path: Path) -> None:
     words, text = FAULTS[case]
     said = dmframe(*words)
     assert said.status == 2

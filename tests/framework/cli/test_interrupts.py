@@ -38,7 +38,7 @@ class Odd:
         return ca.SX(1)
 
 
-def test_casadi_clears_an_interrupt_and_reports_a_fault_that_is_none() -> None:
+def test_casadi_clears_an_interrupt_and_reports_a_fault_that_is_invalid() -> None:
     with pytest.raises(Exception, match="sum1") as caught:
         ca.sum1(Odd())
     assert not isinstance(caught.value, KeyboardInterrupt)

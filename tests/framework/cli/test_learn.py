@@ -68,7 +68,7 @@ def test_values_that_make_no_sense_are_refused(dmframe: Any, words: tuple[str, .
     assert said.err.startswith(f"dmframe: {fault}")
 
 
-def test_an_installation_without_a_course_says_so(
+def test_an_installation_without_a_course_reports_it(
     dmframe: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(lesson, "HOMES", (tmp_path / "none",))

@@ -22,10 +22,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from dmframe.catalogue import block_types, graphs
 from dmframe.cli import main
 from dmframe.cli.app import app, app_for
+from dmframe.cli.groups import GROUPS, GroupedCommands
 from dmframe.config.document import read_document, read_file
 from dmframe.report.linear import LinearView
 from dmframe.robot.library import find_robot, robots
@@ -53,6 +55,56 @@ def test_help_lists_every_command_of_the_contract(dmframe: Any) -> None:
     assert said.status == 0
     assert said.err == ""
     assert all(f"\n  {command} " in said.out for command in COMMANDS)
+
+
+def test_help_has_groups_and_whole_summaries(dmframe: Any) -> None:
+    text = dmframe("--help").out
+    groups = [line.rstrip(":") for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert groups == ["Options", *GROUPS]
+    assert "..." not in text.partition("Start:")[2]
+    for rows in GROUPS.values():
+        assert all(f"\n  {name:10}  {summary}\n" in f"{text}\n" for name, summary in rows.items())
+
+
+def test_a_command_of_no_group_is_listed_with_its_first_paragraph() -> None:
+    more = typer.Typer(cls=GroupedCommands, rich_markup_mode=None)
+    more.command("run")(lambda: None)
+
+    @more.command()
+    def mine() -> None:
+        """Does something that takes a whole line to say and is not cut off at the width of the terminal.
+
+        More.
+        """
+
+    text = CliRunner().invoke(more, ["--help"]).output
+    assert "One graph:\n  run " in text
+    assert "Other:\n  mine  Does something" in text
+    assert "width of the terminal." in " ".join(text.split())
+    assert "More." not in text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("new", "pendulum", "a.yaml", "-o", "b.yaml"), ("export", "pendulum", "a", "-o", "b", "--c")],
+)
+def test_a_place_that_is_given_twice_is_refused(words: tuple[str, ...], dmframe: Any) -> None:
+    said = dmframe(*words)
+    assert said.status == 2
+    assert "given twice; leave one out" in said.err
+
+
+def test_a_place_is_an_argument_or_an_option(dmframe: Any, tmp_path: Path) -> None:
+    assert dmframe("new", "pendulum", "-o", "mine.yaml").status == 0
+    assert tmp_path.joinpath("mine.yaml").is_file()
+    assert "expected a new folder: dmframe export GRAPH OUT" in dmframe("export", "pendulum", "--c").err
+
+
+def test_older_names_of_options_still_work(dmframe: Any) -> None:
+    words = ("analyse", "pendulum", "--json")
+    assert dmframe(*words, "--horizon", "1").out == dmframe(*words, "--until", "1").out
+    for older in ("--seconds", "--until"):
+        assert "--until 0: expected a time above zero" in dmframe("rehearse", "arm2_joint", older, "0").err
 
 
 def test_each_command_alone_has_the_parameters_that_it_has_among_all() -> None:
@@ -120,7 +172,7 @@ def test_one_robot_is_printed_with_its_joints_masses_tool_source_and_known_error
     assert dmframe("robots", "ur1").err == f"dmframe: robot ur1: unknown robot; choose from {', '.join(robots())}\n"
 
 
-def test_a_robot_of_ones_own_says_what_its_file_says(dmframe: Any, tmp_path: Path) -> None:
+def test_a_robot_of_ones_own_states_what_its_file_states(dmframe: Any, tmp_path: Path) -> None:
     joint = '<parent link="base"/><child link="slide"/><axis xyz="1 0 0"/>'
     body = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     text = f'<joint name="rail" type="prismatic">{joint}<limit lower="0" upper="1" velocity="2" effort="3"/></joint>'
@@ -160,7 +212,7 @@ def test_an_unknown_home_folder_is_reported(dmframe: Any) -> None:
     assert (said.status, said.err) == (2, f"dmframe: {expected}\n")
 
 
-def test_new_copies_a_graph_letter_by_letter_and_says_what_to_do(dmframe: Any, tmp_path: Path) -> None:
+def test_new_copies_a_graph_letter_by_letter_and_states_what_to_do(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("new", "pendulum", "mine.yaml")
     assert (said.status, said.out) == (0, "wrote mine.yaml; try: dmframe run mine.yaml\n")
     first, _, rest = tmp_path.joinpath("mine.yaml").read_text().partition("\n")
@@ -181,7 +233,7 @@ def test_new_never_overwrites_a_file(dmframe: Any, tmp_path: Path) -> None:
     assert tmp_path.joinpath("mine.yaml").read_text() == "precious"
 
 
-def test_new_says_where_it_cannot_write(dmframe: Any) -> None:
+def test_new_states_where_it_cannot_write(dmframe: Any) -> None:
     said = dmframe("new", "pendulum", "no/mine.yaml")
     expected = "dmframe: no/mine.yaml: the folder no does not exist; create it first, or choose another\n"
     assert (said.status, said.err) == (2, expected)
@@ -251,7 +303,7 @@ def test_a_page_keeps_to_the_terminal_and_breaks_no_norm(kind: str, columns: int
         assert all(line.count("|") % 2 == 0 for line in law)
 
 
-def test_a_page_is_of_120_columns_where_nothing_says_how_wide_it_may_be(
+def test_a_page_is_of_120_columns_where_nothing_states_how_wide_it_may_be(
     dmframe: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
@@ -273,7 +325,7 @@ def test_the_list_of_blocks_has_no_marks_either(dmframe: Any) -> None:
     assert ":math:" not in listed
 
 
-def test_a_page_says_where_sizes_are_those_of_an_example_and_what_its_operations_are(
+def test_a_page_states_where_sizes_are_those_of_an_example_and_what_its_operations_are(
     dmframe: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
@@ -287,7 +339,7 @@ def test_a_page_says_where_sizes_are_those_of_an_example_and_what_its_operations
     assert "\ntrue values, which its certificate alone reads\n  a_d  a_d  (p)  -\n" in page
 
 
-def test_what_a_block_states_for_others_stands_apart_from_its_law(dmframe: Any) -> None:
+def test_what_a_block_states_for_others_is_separate_from_its_law(dmframe: Any) -> None:
     law, stated = dmframe("blocks", "filtered_regulation").out.split("true values that it states")
     assert "task_weight" not in law
     assert "\n  task_weight = α\n" in stated

@@ -71,7 +71,7 @@ def test_json_is_one_object_with_the_keys_of_the_contract_and_nothing_else(dmfra
 
 
 @pytest.mark.usefixtures("without_v")
-def test_json_says_continuous_for_a_continuous_clock(dmframe: Any) -> None:
+def test_json_states_continuous_for_a_continuous_clock(dmframe: Any) -> None:
     assert strict(dmframe("run", "pendulum", *SHORT, "--json").out)["clock"] == "continuous"
 
 

@@ -163,7 +163,7 @@ def test_no_number_loses_a_bit() -> None:
     assert found.tobytes() == np.array(values).tobytes()
 
 
-def test_whole_numbers_are_encoded_as_the_standard_says() -> None:
+def test_whole_numbers_are_encoded_as_in_the_standard() -> None:
     assert (unsigned(624485), signed(-123456)) == (bytes.fromhex("e58e26"), bytes.fromhex("c0bb78"))
     for value in (0, 1, 63, 64, 127, 128, 8191, 8192, 2**31 - 1, -1, -64, -65, -(2**31)):
         body = Function([], [I32])
@@ -322,7 +322,7 @@ def test_bounds_portions_every_and_kept_are_those_of_loop_c(cart: Any, bounds: s
     assert [found[k] for k in (0, 9)] == {"wide": [40, 0], "narrow": [5, 0], "none": [0, 0]}[bounds]
 
 
-def test_a_state_that_is_no_number_has_left_its_bounds(cart: Any) -> None:
+def test_a_state_that_is_not_a_number_has_left_its_bounds(cart: Any) -> None:
     prepared, diagram, start = cart
     engine = InWasm(prepared.step, prepared.keeping.kept, 1)
     start[2], rows = math.nan, np.zeros((4, engine.kept.size))

@@ -114,7 +114,7 @@ def test_each_packaged_baseline_is_the_kinematic_controller_before_the_same_robo
     graph = Graph.read(name)
     if not graph.file.baseline:
         paired = ("ur10_fast", "ur10_slow", "ur10_full", "arm2_joint", "pendulum")  # they have baselines of their own
-        assert "servo" not in graph.file.blocks or name.startswith(paired)
+        assert "servo" not in graph.file.blocks or name.startswith(paired), f"{name} has a servo and no baseline"
         return
     other = graph.baseline()
     assert other.file.blocks["inverse"] == {"type": "kinematic_command"}

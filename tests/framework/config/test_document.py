@@ -181,7 +181,7 @@ def test_an_alias_repeats_its_anchor_as_data_of_its_own() -> None:
         ("a: " + "x" * 1_000_000, ["g.yaml: a graph is at most 1 MB; is this the right file?"]),
     ],
 )
-def test_a_text_that_is_no_graph_is_refused_in_plain_words(text: str, lines: list[str]) -> None:
+def test_a_text_that_is_not_a_graph_is_refused_in_plain_words(text: str, lines: list[str]) -> None:
     assert messages(text) == lines
     with pytest.raises(DocumentError):
         read_document(text, "g.yaml")

@@ -38,7 +38,7 @@ class Leaky(AbstractBlock):
 '''
 
 
-def test_a_file_says_robot_clock_duration_solver_start_and_blocks(tmp_path: Path) -> None:
+def test_a_file_states_robot_clock_duration_solver_start_and_blocks(tmp_path: Path) -> None:
     text = PENDULUM.replace("clock: continuous", "clock: 5 ms").replace(
         "blocks:", "solver: {method: cvodes, tolerance: 1e-6, output: 20 ms}\nstart: {q: 5 deg, dq: [0.25]}\nblocks:"
     )
@@ -142,7 +142,7 @@ def test_a_fault_of_the_duration_that_a_call_gave_is_placed_there() -> None:
     assert str(caught.value).startswith("--until 1e+09: duration: a run of 1e+11 ticks is too long")
 
 
-def test_a_fault_of_a_whole_block_says_which_overrides_changed_it() -> None:
+def test_a_fault_of_a_whole_block_states_which_overrides_changed_it() -> None:
     with pytest.raises(DmframeError) as caught:
         Graph.read("pendulum", ["path.times=[0, 0, 0, 0, 0]", "task.alpha_bar=1"])
     assert caught.value.location.endswith("pendulum.yaml:7:13 with --set path.times=[0, 0, 0, 0, 0]")

@@ -55,7 +55,7 @@ def test_a_set_puts_its_blocks_into_a_graph_and_the_graph_that_is_saved_runs_aga
     assert real == dm.load(f"{TEXT}reality: ur\n") == dm.load(TEXT).set(reality={"like": "ur"})
 
 
-def test_the_set_of_ur_says_what_its_page_says() -> None:
+def test_the_set_of_ur_states_what_its_page_states() -> None:
     real = dm.load(TEXT).reality()
     assert real.blocks["encoder"].step == pytest.approx(2 * np.pi / 2**17, rel=1e-4)
     assert real.blocks["transport_delay"].samples == 1
@@ -154,7 +154,7 @@ def test_earlier_channels_are_removed_when_others_are_requested(capsys: pytest.C
         late.reality("none")
 
 
-def test_a_study_requests_it_anew_too(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_requests_it_again_too(capsys: pytest.CaptureFixture[str]) -> None:
     filed = dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n")
     sets = {
         "none": [("reality", "none")],
@@ -228,6 +228,6 @@ def test_a_block_that_fits_nowhere_is_refused() -> None:
         dm.load(f"{TEXT}reality: {{accelerometer: {{}}}}\n")
 
 
-def test_data_says_it_as_a_file_does() -> None:
+def test_data_states_it_as_a_file_does() -> None:
     data: Mapping[str, Any] = {**Graph.read("arm2_joint").data, "reality": "ur"}
     assert tuple(added(dm.load(data))) == UR

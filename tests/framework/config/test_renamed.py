@@ -215,7 +215,7 @@ def test_old_names_must_lead_to_names_that_the_block_has() -> None:
     assert isinstance(Wrong.contract("wrong")[0], BlockError)
 
 
-def test_the_command_line_says_so_on_stderr_and_keeps_json_clean(write: Callable[[str], Path]) -> None:
+def test_the_command_line_reports_it_on_stderr_and_keeps_json_clean(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "gain: 3"))
     call = [sys.executable, "-c", "from dmframe.cli import main; main()", "verify", str(file), "--json"]
     done = subprocess.run(call, capture_output=True, text=True, check=False)

@@ -115,7 +115,7 @@ def test_the_nearest_body_is_where_scipy_ends() -> None:
         assert distance(held, made(found.x), P0) < 1e-4 * distance(held, a, P0)
 
 
-def test_inside_nothing_moves_and_what_is_no_bodys_never_does() -> None:
+def test_inside_nothing_moves_and_what_belongs_to_no_body_never_does() -> None:
     rng = np.random.default_rng(2)
     first, second = body(rng), body(rng)
     bodies = Bodies(column([*row(first), *row(second)]), column(SHARE))
@@ -141,7 +141,7 @@ def test_v_never_rises_at_a_clip_whatever_the_true_body_in_the_set() -> None:
     assert fell > 100
 
 
-def test_a_true_body_outside_the_set_lets_a_clip_raise_v() -> None:
+def test_a_true_body_outside_the_set_allows_a_clip_to_raise_v() -> None:
     rng = np.random.default_rng(4)
     P0 = body(rng)
     truth = row(0.05 * P0)  # below the share

@@ -168,7 +168,7 @@ def test_names_wire_a_diagram_by_themselves() -> None:
     assert sources["wave", "t"] == Time()
 
 
-def test_a_wire_of_the_file_wins_over_a_name() -> None:
+def test_a_wire_of_the_file_has_precedence_over_a_name() -> None:
     blocks = cart(other=Cart())
     with pytest.raises(WiringError, match=r"law\.y: expected one output of that name, found 2: cart\.y, other\.y"):
         Diagram.build(blocks)

@@ -135,7 +135,9 @@ def test_where_an_estimate_starts_is_not_known_unless_a_rate_pulls_it_back_there
 
 
 @pytest.mark.parametrize("name", structures())
-def test_two_packaged_controllers_alone_know_the_inertia_one_to_be_compared_with_and_one_for_a_load(name: str) -> None:
+def test_two_packaged_controllers_alone_contain_the_inertia_one_for_comparison_and_one_for_a_load(
+    name: str,
+) -> None:
     leaks = {
         block
         for block, item in of(name).items()

@@ -55,5 +55,5 @@ def test_a_step_on_a_clock_takes_the_second_term_and_the_proof_stays_as_it_is() 
 
 @pytest.mark.parametrize("wrong", [{"side": Side.PLANT}, {"sampled": True}, {"name": "y"}])
 def test_what_takes_no_such_step_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(DmframeError, match=r"equations state the second term of ., which takes no step of a clock"):
+    with pytest.raises(DmframeError, match=r"equations state the second term of ., which has no step on a clock"):
         falling(**wrong)

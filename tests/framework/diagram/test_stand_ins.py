@@ -116,7 +116,7 @@ def test_each_replaces_the_signal_that_drives_it_not_all_of_that_name() -> None:
     assert (found["law.y"], found["other.y"]) == ("cart.y", "sensor.y_m")
 
 
-def test_a_diagram_says_which_ways_signals_go() -> None:
+def test_a_diagram_states_the_direction_of_signals() -> None:
     diagram = Diagram.build({"law": Law(), "cart": Cart(), "b": Sensor(), "a": Sensor(), "line": Line()})
     said = {f"{way.origin.block}.{way.origin.port}": [wire.block for wire in way.through] for way in diagram.ways}
     assert said == {"cart.y": ["b", "a"], "law.v": ["line"]}
@@ -130,13 +130,13 @@ def broken(**members: Any) -> type[AbstractBlock]:
 @pytest.mark.parametrize(
     ("members", "text"),
     [
-        ({"outputs": (Output("y_m", instead_of="z"),)}, "the output y_m replaces z, which is no input; choose"),
+        ({"outputs": (Output("y_m", instead_of="z"),)}, "the output y_m replaces z, which is not an input; choose"),
         (
             {"outputs": (Output("y_m", "3", instead_of="y"),)},
             "the output y_m replaces y, and has another shape or",
         ),
         ({"outputs": (Output("y_m", "", "m", instead_of="y"),)}, "replaces y, and has another shape or unit"),
-        ({"side": Side.CONTROLLER}, "the output y_m replaces y, and the block is no plant; make it one"),
+        ({"side": Side.CONTROLLER}, "the output y_m replaces y, but the block is not a plant; declare it as one"),
         ({"inputs": (Output("y"),)}, "expected each of its inputs to be an Input, found Output(name='y'"),
         (
             {"outputs": (Output("y_m", notice=3),)},

@@ -116,7 +116,7 @@ def test_a_truth_that_two_blocks_have_as_near_is_an_error_that_names_them() -> N
 
     blocks = {"store1": Store(k=0.5), "store2": Store(k=5), "needs": Both()}
     diagram = Diagram.build(blocks, {"needs.y": "store1.y", "needs.other": "store2.y"})
-    with pytest.raises(BlockError, match=r"its wires lead as near to store1\.k, store2\.k"):
+    with pytest.raises(BlockError, match=r"its wires are equally close to store1\.k, store2\.k"):
         view(diagram, "needs")
     assert verify(diagram).outcome == "not_applicable"
 

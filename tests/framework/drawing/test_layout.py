@@ -109,7 +109,7 @@ def on(point, piece):
 
 
 @each_netlist
-def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it(seeds):
+def test_the_plant_is_right_of_the_wall_and_the_rest_left_of_it(seeds):
     for seed in seeds:
         layout = laid_out(seed)
         sides = {item.box.side is Side.PLANT for item in layout.placed.values()}
@@ -119,7 +119,7 @@ def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it(seeds):
                 assert (item.x > layout.wall) == (item.box.side is Side.PLANT), seed
 
 
-def test_signals_flow_from_left_to_right_and_feedback_is_reported_apart():
+def test_signals_flow_from_left_to_right_and_feedback_is_reported_separately():
     def box(name, *inputs, side=Side.CONTROLLER):
         return Box(name, "kind", side, (), tuple(Pin(f"{s}_out", (s, "y")) for s in inputs), ("y",))
 

@@ -31,7 +31,7 @@ def test_the_picture_is_well_formed_and_self_contained(diagram):
     assert "url(" not in text
 
 
-def test_each_block_stands_there_with_its_type_and_states(diagram):
+def test_each_block_is_listed_with_its_type_and_states(diagram):
     root = ET.fromstring(svg(diagram))
     blocks = {item.get("data-name"): item for item in root.iter(f"{SVG}g") if item.get("class") == "block"}
     assert set(blocks) == set(diagram.blocks)
@@ -42,7 +42,7 @@ def test_each_block_stands_there_with_its_type_and_states(diagram):
         assert shown == [unicode_name(state) for state in diagram.models[name].states]
 
 
-def test_each_wire_is_labelled_and_says_from_where_to_where(diagram):
+def test_each_wire_is_labelled_and_states_from_where_to_where(diagram):
     root = ET.fromstring(svg(diagram))
     labels = set(texts(root, "label"))
     titles = [item.find(f"{SVG}title").text for item in root.iter(f"{SVG}g") if item.get("class") == "net"]

@@ -123,7 +123,7 @@ def test_a_path_that_is_back_at_its_start_in_the_end_is_judged_where_it_was_away
     assert "third quarter is 200 mm" in ErrorBounds(0.002, "", "").above(replace(away, third=0.2), None, ideal=True)
 
 
-def test_a_tolerance_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_tolerance_that_is_invalid_is_refused(tmp_path: Path) -> None:
     for text, message in (
         ("-2 mm", "expected a positive error"),
         ("2 kg", "expected a positive error"),

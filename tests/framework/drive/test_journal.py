@@ -167,7 +167,7 @@ def test_a_long_drive_is_thinned_out_and_its_samples_are_replayed(
     assert run.recording["task.dq_r"].tobytes() == np.ascontiguousarray(whole["task.dq_r"][::every]).tobytes()
 
 
-def test_a_disk_that_fails_brings_the_robot_to_rest_and_keeps_what_is_there(
+def test_a_disk_that_fails_stops_the_robot_and_keeps_what_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spool, stops = Spool(tmp_path / "none" / "samples.bin", {}), list[float]()

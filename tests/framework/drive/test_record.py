@@ -136,7 +136,7 @@ def test_a_run_is_played_again_too(tmp_path: Path) -> None:
     assert graph().replay(tmp_path / "log", engine="interpreted").identical
 
 
-def test_what_is_no_record_or_lacks_a_signal_is_reported(tmp_path: Path) -> None:
+def test_what_is_not_a_record_or_lacks_a_signal_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MissingError, match=r"expected a folder of results, or its signals.nc, found none"):
         graph().replay(tmp_path / "none")
     (tmp_path / "other.nc").write_text("nothing")

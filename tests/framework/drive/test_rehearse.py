@@ -28,7 +28,7 @@ def tried(graph: dm.Graph, seconds: float, *more: Condition) -> Any:
     return rehearsed(graph, seconds=seconds, engine="interpreted", tried=[IDEAL, *more])
 
 
-def test_a_delay_is_borne_by_one_graph_and_not_by_another() -> None:
+def test_a_delay_is_tolerated_by_one_graph_and_not_by_another() -> None:
     late = Condition("3 samples of delay, 24 ms", {"delay": 3})
     borne = tried(dm.load("ur10_fast"), 1.0, late)
     assert borne.passed
@@ -63,7 +63,7 @@ def test_a_condition_that_is_not_required_is_reported_only() -> None:
         (0.002, np.nan, "the error is above 6 mm"),
     ],
 )
-def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, last: float, message: str) -> None:
+def test_an_error_that_is_too_large_or_that_grows_is_not_tolerated(second: float, last: float, message: str) -> None:
     ideal = Measured("x - x_d", "m", 0.002, 0.002, 0.002, 0.2, "")
     assert rehearse._why(replace(ideal, second=second, last=last), ideal) == message
 

@@ -18,7 +18,7 @@ import dmframe as dm
 from dmframe.common.errors import MissingError, OutputError
 from dmframe.common.files import hidden_name
 from dmframe.common.seal import BrokenSeal, FolderSeal, faults, opened, seal_of, sealed
-from dmframe.export.c import write_all
+from dmframe.export.folder import write_all
 from dmframe.results.place import built, complete, reserved
 from dmframe.results.run import Run
 
@@ -105,7 +105,7 @@ def test_a_replay_compares_each_signal_that_it_names(drive: Run, tmp_path: Path,
     assert f"  {label}: largest difference at t = " in str(found)
 
 
-def test_a_replay_says_what_it_has_compared_and_by_which_engine(log: Path) -> None:
+def test_a_replay_states_what_it_has_compared_and_by_which_engine(log: Path) -> None:
     found = again(log)
     states = sum(label in found.compared for label in (item.label for item in GRAPH.diagram.loop.controller))
     assert states >= 4

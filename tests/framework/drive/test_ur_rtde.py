@@ -97,7 +97,7 @@ def names(package: Package) -> list[str]:
     return [called[0] for called in package.called]
 
 
-def test_a_drive_sets_the_watchdog_follows_stops_and_lets_go(package: Package) -> None:
+def test_a_drive_sets_the_watchdog_follows_stops_and_releases_control(package: Package) -> None:
     found = driven(graph("ur10_fast"), driver(), 20, ramp=0.1)
     assert found.stop is None
     assert package.called[0] == ("receive", "arm", 125.0)
@@ -175,7 +175,7 @@ def test_a_way_that_is_ended_is_stopped_as_a_way(package: Package) -> None:
     assert package.called[-3:] == [("isProgramRunning",), ("stopJ", 3.0), ("stopScript",)]
 
 
-def test_without_the_package_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_one_line_states_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rtde_receive", None)
     with pytest.raises(MissingError, match="expected the package ur_rtde, found none: python -m pip install ur_rtde"):
         driver().connect()

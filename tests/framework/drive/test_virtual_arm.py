@@ -213,7 +213,7 @@ def test_without_the_gate_it_would_be_sent_and_the_robot_stops_itself(monkeypatc
     assert at.held.safety.reason == "protective stop: a target speed is not a number"
 
 
-def test_a_stop_that_is_requested_is_as_gentle_as_the_limits_say() -> None:
+def test_a_stop_that_is_requested_is_as_gentle_as_the_limits_require() -> None:
     at = setting()
     found, when = drive(at, lambda _: "SIGTERM")
     assert str(found.stop) == "requested: SIGTERM"

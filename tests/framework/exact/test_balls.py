@@ -66,7 +66,7 @@ def test_sums_products_and_quotients_hold_the_exact_ones(a: float, b: float) -> 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("at", [0.3, 0.0012, -0.77, 1.9, 37.25, -680.0, 1e99])
-def test_functions_hold_what_mpmath_says_and_nothing_where_it_is_not_real(name: str, at: float) -> None:
+def test_functions_hold_what_mpmath_states_and_nothing_where_it_is_not_real(name: str, at: float) -> None:
     e = getattr(ca, name)(x)
     with mpmath.workprec(2000):
         point = number(at)
@@ -83,7 +83,7 @@ def test_functions_hold_what_mpmath_says_and_nothing_where_it_is_not_real(name: 
 
 
 @pytest.mark.parametrize("name", ["exp", "sin", "tanh", "sqrt", "mul", "div"])
-def test_a_rule_that_forgets_its_radius_is_found_out(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rule_that_omits_its_radius_is_found_out(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     e = {"mul": ca.exp(x) * x, "div": x / ca.exp(x)}[name] if name in ("mul", "div") else getattr(ca, name)(x)
     (code,) = by_code({name: None})
     with mpmath.workprec(2000):
@@ -109,7 +109,7 @@ def enclosed_in(e: Any, value: arb, bits: int) -> list[arb]:
     return program.stored(enclosed(program, [[value]], bits=bits))[0]
 
 
-def test_a_literal_that_forgets_its_radius_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_literal_that_omits_its_radius_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     assert holds(ball(0.3), Fraction(3, 10))
     rational = balls._rational
     monkeypatch.setattr(balls, "_rational", lambda *given: rational(*given).mid())
@@ -154,15 +154,15 @@ def test_a_ball_around_an_edge_has_all_values_of_its_function() -> None:
         (y / x, "a divisor may be zero"),
         (ca.sqrt(x), "the operand of sqrt may be outside its domain"),
         (x**1.5, "the operand of constpow may be outside its domain"),
-        (ca.if_else(x > 0, 1, 2), "whether a comparison holds cannot be decided"),
-        ((x < 0) * y, "whether a comparison holds cannot be decided"),
-        (1 / (x < 0), "whether a comparison holds cannot be decided"),
-        (ca.sign(x), "whether a comparison holds cannot be decided"),
-        (ca.floor(x), "whether a comparison holds cannot be decided"),
-        (ca.fmod(y - x, 1), "whether a comparison holds cannot be decided"),
-        (ca.remainder(x + 0.5, y), "whether a comparison holds cannot be decided"),
-        (ca.copysign(y, x), "whether a comparison holds cannot be decided"),
-        (ca.atan2(x, -y), "whether a comparison holds cannot be decided"),
+        (ca.if_else(x > 0, 1, 2), "a comparison cannot be decided"),
+        ((x < 0) * y, "a comparison cannot be decided"),
+        (1 / (x < 0), "a comparison cannot be decided"),
+        (ca.sign(x), "a comparison cannot be decided"),
+        (ca.floor(x), "a comparison cannot be decided"),
+        (ca.fmod(y - x, 1), "a comparison cannot be decided"),
+        (ca.remainder(x + 0.5, y), "a comparison cannot be decided"),
+        (ca.copysign(y, x), "a comparison cannot be decided"),
+        (ca.atan2(x, -y), "a comparison cannot be decided"),
     ],
 )
 def test_what_cannot_be_decided_is_refused(e: Any, reason: str) -> None:
@@ -178,12 +178,12 @@ def test_logic_is_decided_by_what_is_known() -> None:
     assert [int(float(value)) for value in exact] == [1, 0, 1, 0, 1]
 
 
-def test_a_number_that_is_none_is_refused_and_so_is_a_function_that_is_not_written_out() -> None:
+def test_a_number_that_is_invalid_is_refused_and_so_is_a_function_that_is_not_written_out() -> None:
     with pytest.raises(UndecidedError, match="a number is not finite"):
         values(x, arb.nan())
     inner = ca.Function("inner", [x], [x * x], {"never_inline": True})
     for e in (inner(x), ca.erfinv(x)):  # CasADi's own erfinv is off by 4e-8
-        with pytest.raises(UndecidedError, match="no enclosure is known of CasADi's instruction"):
+        with pytest.raises(UndecidedError, match=r"CasADi's instruction \d+ has no enclosure rule"):
             values(e, arb(0.5))
 
 
@@ -279,7 +279,7 @@ def test_matrices_are_scaled_exactly_and_multiplied_within_their_radii() -> None
     assert math.isinf(middles(arb_mat([[arb(10) ** 400]]))[0, 0])
 
 
-def test_an_interior_holds_nothing_that_is_no_number() -> None:
+def test_an_interior_holds_nothing_that_is_not_a_number() -> None:
     """The equilibrium test of `dmframe.analysis.enclosed` relies on it."""
     assert arb(0, 1).contains_interior(arb(0, 0.5))
     assert not arb(0, 1).contains_interior(arb(0, 1))

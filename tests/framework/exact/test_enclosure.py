@@ -167,7 +167,7 @@ def test_a_series_that_is_cut_short_is_caught(monkeypatch: pytest.MonkeyPatch) -
     assert inward() != []
 
 
-def test_an_end_where_the_sine_turns_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_end_where_the_sine_turns_is_included(monkeypatch: pytest.MonkeyPatch) -> None:
     top = math.pi / 2
     assert outside(top - 0.3, top + 0.2, top) == []
     monkeypatch.setattr(enclosure, "_passes", lambda angle, place: np.zeros(np.shape(angle.lower), dtype=bool))

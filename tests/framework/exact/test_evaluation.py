@@ -55,7 +55,7 @@ def test_every_choice_of_signs_is_what_a_full_evaluation_gives() -> None:
     assert evaluation.outputs == tape.evaluate(other_point, other)
     while trial.next_signs():
         assert other.next_signs()
-        evaluation.sign_anew()
+        evaluation.recompute_signs()
         assert evaluation.outputs == tape.evaluate(point, other)
         choices += 1
     assert not other.next_signs()

@@ -69,7 +69,7 @@ def test_the_undetermined_columns_are_those_of_the_null_space() -> None:
         assert echelon.undetermined == {k for v in matrix.nullspace() for k, value in enumerate(v) if value}
 
 
-def test_an_echelon_says_whether_a_row_brings_something_new() -> None:
+def test_an_echelon_states_whether_a_row_increases_the_rank() -> None:
     echelon = Echelon(P, 3)
     assert echelon.add([0, 2, 4])
     assert not echelon.add([0, 1, 2])

@@ -78,7 +78,7 @@ def test_neither_way_can_be_left_out(way: str, e: Any, at: Given, monkeypatch: p
     assert less.lower < whole.lower
 
 
-def test_a_box_that_forgets_its_width_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_box_that_omits_its_width_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     def misses() -> bool:
         (found,) = over(x * x, between(1, 2))
         return not (found.lower <= 1 and found.upper >= 4)

@@ -17,7 +17,7 @@ from dmframe.exact.sizes import Size, Sizes, free
 from dmframe.exact.tangent import Tangents
 from dmframe.exact.tape import Tape
 from dmframe.prove.claim import Steps
-from dmframe.prove.rules import taken
+from dmframe.prove.rules import step_result
 
 
 @final
@@ -133,7 +133,7 @@ TWO: Final[Sequence[Callable[[Any, Any], Any]]] = (
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_programs_and_their_derivatives_are_no_larger_than_it_says(seed: int) -> None:
+def test_programs_and_their_derivatives_are_no_larger_than_it_states(seed: int) -> None:
     import sympy
 
     rng, x, compared = random.Random(seed), ca.SX.sym("x", 3), 0
@@ -160,7 +160,7 @@ def test_programs_and_their_derivatives_are_no_larger_than_it_says(seed: int) ->
 @pytest.mark.parametrize(
     ("rule", "sizes", "rows"), [("normalised", (2, 1), 1), ("normalised", (1,), 2), ("least_squares", (1,), 1)]
 )
-def test_steps_are_no_larger_than_it_says(rule: Any, sizes: tuple[int, ...], rows: int, box: bool) -> None:
+def test_steps_are_no_larger_than_it_states(rule: Any, sizes: tuple[int, ...], rows: int, box: bool) -> None:
     import sympy
 
     n, triangles = sum(sizes), sum(size * (size + 1) // 2 for size in sizes)
@@ -171,8 +171,8 @@ def test_steps_are_no_larger_than_it_says(rule: Any, sizes: tuple[int, ...], row
     counts |= memory
     steps = Steps(rule, "w", "G" if memory else "", sizes, rows, box, {})
     symbols = {name: [Quotient(s) for s in sympy.symbols(f"{name}_0:{count}")] for name, count in counts.items()}
-    true = taken(Quotients(), steps, symbols)
-    said = taken(Sizes(), steps, {name: [free() for _ in range(count)] for name, count in counts.items()})
+    true = step_result(Quotients(), steps, symbols)
+    said = step_result(Sizes(), steps, {name: [free() for _ in range(count)] for name, count in counts.items()})
     for name in said.moves:
         assert held(true.moves[name], said.moves[name])
     assert held([true.moved, true.lost, true.gained], [said.moved, said.lost, said.gained]) == 3

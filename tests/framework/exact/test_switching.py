@@ -67,7 +67,7 @@ def test_no_jump_is_overlooked(jump: Callable[[Any], Any]) -> None:
 
 
 def test_an_operation_without_an_enclosure_is_refused_by_name() -> None:
-    with pytest.raises(ValueFault, match="f: expected operations of which an enclosure is known, found log"):
+    with pytest.raises(ValueFault, match="f: expected operations with an enclosure rule, found log"):
         Enclosing(ca.Function("f", [X], [ca.log(X)]), SWITCHING)
     power = Enclosing(ca.Function("f", [X, Y], [X**Y]), SWITCHING)
     with pytest.raises(ValueFault, match="found pow"):

@@ -213,7 +213,7 @@ def test_what_follows_the_pose_starts_at_the_pose_that_is_measured() -> None:
     [
         (["pendulum_kinematic", "new", "--c"], "expected a clock such as 8 ms, found continuous"),
         (["ur10_payload", "new", "--fmi2"], "found one that reads load.a_load; export only the controller, with --c"),
-        (["ur10_fast", "new"], "expected one of --c, --fmi2, --fmi3 and --ros2, found none"),
+        (["ur10_fast", "new"], "expected one of --c, --fmi2, --fmi3"),
         (["ur10_fast", ".", "--c"], "exists already; choose a new folder"),
     ],
 )

@@ -277,7 +277,7 @@ def test_units_are_reported_in_those_of_si() -> None:
         (lambda: dm.load("pendulum"), "expected a clock such as 8 ms, found continuous"),
     ],
 )
-def test_a_robot_that_cannot_stand_alone_is_reported(graph: Any, text: str, tmp_path: Path) -> None:
+def test_a_robot_that_cannot_be_simulated_alone_is_reported(graph: Any, text: str, tmp_path: Path) -> None:
     with pytest.raises(DmframeError, match=text):
         graph().export(tmp_path / "out", "fmi3")
     assert not list(tmp_path.iterdir())

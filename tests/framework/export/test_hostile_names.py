@@ -19,6 +19,7 @@ from ruamel.yaml import YAML
 import dmframe as dm
 from dmframe.common.errors import DmframeError
 from dmframe.export import c, fmu, ros2
+from dmframe.export.folder import export
 from dmframe.export.program import Member, Program, members, own_name, program_of
 from dmframe.export.robot import robot_of
 
@@ -170,7 +171,7 @@ def package(found: Program, joints: list[str], folder: Path, monkeypatch: pytest
             fingerprint=diagram.fingerprint,
         )
     vars(graph)["diagram"] = diagram
-    ros2.export_ros2(graph, folder)
+    export(graph, folder, "ros2")
     for name in ("package.xml", "controller.xml"):
         ElementTree.parse(folder / name)
     read = YAML(typ="safe").load((folder / "config" / "controllers.yaml").read_text(encoding="utf-8"))

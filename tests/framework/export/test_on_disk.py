@@ -14,7 +14,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.common.errors import OutputError
-from dmframe.export.c import write_all
+from dmframe.export.folder import write_all
 
 KINDS: dict[Any, str] = {"c": "arm2_joint.c", "ros2": "package.xml", "fmi3": "arm2_joint.fmu"}
 
@@ -52,7 +52,7 @@ def killed(folder):
     assert any(folder.iterdir())
     os.kill(os.getpid(), signal.SIGKILL)
 place.sync_below = killed
-from dmframe.export.c import write_all
+from dmframe.export.folder import write_all
 from pathlib import Path
 write_all(Path("out"), {"a.c": "1", "b/c.h": "2"})
 """

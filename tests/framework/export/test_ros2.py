@@ -159,7 +159,7 @@ def test_without_a_target_it_takes_what_it_has_commanded() -> None:
 @needs_compilers
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize("place", [0, 3, 8])
-def test_what_is_not_finite_is_an_error_and_zeros_until_it_is_activated_anew(bad: float, place: int) -> None:
+def test_what_is_not_finite_is_an_error_and_zeros_until_it_is_activated_again(bad: float, place: int) -> None:
     measured, _ = run()
     rows = rows_of(measured[:10])
     rows[4, 2 + PATH + place] = bad
@@ -393,6 +393,6 @@ def test_a_title_reads_back_as_it_is_whatever_it_looks_like(file: str, title: st
 
 
 @pytest.mark.parametrize("title", ["<x>", "a & b", "bell\a"])
-def test_a_title_that_is_no_xml_is_refused(title: str) -> None:
+def test_a_title_that_is_not_xml_is_refused(title: str) -> None:
     with pytest.raises(EngineError, match=r"graph: package\.xml is not recovered by a parser"):
         _read_as_xml("graph", "package.xml", {"DM_PACKAGE": "own", "DM_TITLE": title})

@@ -291,6 +291,20 @@ def test_a_docstring_is_checked_against_the_block_of_the_graph_and_far_away(tmp_
         check_docstrings(read_blocks(diagram))
 
 
+@pytest.mark.parametrize("name", ["lambda_", "λ"])
+@pytest.mark.parametrize(("sign", "faults"), [("-", 0), ("+", 1)])
+def test_a_gain_that_the_paper_calls_lambda_prints_and_is_read_as_that_letter(tmp_path, name, sign, faults):
+    from dmframe.catalogue import find_block
+
+    code = f"return Equations(rates={{'x': {sign}p.{name} * x.x}})"
+    text = LIAR.replace("DOC", DISPLAYED + r"-\lambda x").replace("FIELD", "").replace("CODE", code)
+    tmp_path.joinpath("liar.py").write_text(text.replace("k: Scalar", f"{name}: Scalar"))
+    kind = find_block("liar.py:Liar", tmp_path)
+    (line,) = law_of_type(kind).rates
+    assert line.whole.unicode == f"ẋ = {'−' if sign == '-' else ''}λ x"
+    assert len(check_docstring(kind)) == faults
+
+
 @pytest.mark.parametrize(
     "code",
     [

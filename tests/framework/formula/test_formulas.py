@@ -97,13 +97,13 @@ def test_latex_of_a_law_reads_as_in_the_paper():
     )
 
 
-def test_pieces_in_latex_stand_below_and_count_from_one():
+def test_pieces_in_latex_are_subscripts_and_count_from_one():
     assert Formula(read(a_d[3:])).latex == r"(\hat{a}_{d})_{4 \ldots 5}"
     assert Formula(read(A[:, :2])).latex == r"A_{:,1 \ldots 2}"
     assert Formula(read(e[1])).latex == "e_{2}"
 
 
-def test_a_derivative_is_that_of_what_its_named_parts_stand_for():
+def test_a_derivative_is_that_of_what_its_named_parts_represent():
     """Of a = q^2, a' q / 2 has the gradient 3 q^2 / 2, and prints by the name."""
     q, made = column("q", 1), Naming(lambda name, shape: ca.MX.sym(name, *shape), {})
     with reading(made):
@@ -133,9 +133,9 @@ def test_accents_take_no_place_of_a_line():
 
 
 def test_what_has_no_sign_is_refused():
-    with pytest.raises(UnreadableError, match="no sign"):
+    with pytest.raises(UnreadableError, match="without a printed symbol"):
         read(ca.det(A))
-    with pytest.raises(UnreadableError, match="longer"):
+    with pytest.raises(UnreadableError, match="too long"):
         read(sum((ca.sin(k * e) for k in range(1, 600)), start=e))
 
 
@@ -151,6 +151,9 @@ NAMES = {
     "a_d_err": (r"\tilde{a}_{d}", "ã_d"),
     "maker_gravity": (r"\mathrm{maker\_gravity}", "maker_gravity"),
     "x_1": ("x_{1}", "x_1"),
+    "lambda_": (r"\lambda", "λ"),
+    "λ": (r"\lambda", "λ"),
+    "λ_f": (r"\lambda_{f}", "λ_f"),
 }
 
 
@@ -161,6 +164,7 @@ def test_a_name_prints_as_its_symbol(name):
 
 def test_two_names_that_print_alike_are_found():
     assert distinct(["x_1", "x1", "q"]) == [("x_1", "x1")]
+    assert distinct(["lambda_", "λ", "k"]) == [("lambda_", "λ")]
     assert distinct(["alpha", "α", "a_d_hat", "a_hat_d"]) == [("alpha", "α"), ("a_d_hat", "a_hat_d")]
 
 

@@ -68,7 +68,8 @@ def test_a_formula_is_its_numbers(text, expected):
         (r"\gamma \odot e", r"^\\odot is not understood"),
         (r"(\gamma e ; x)", r"^; is not understood"),
         (r"e ) + K", r"^\) is not understood here, before \+ K"),
-        (r"q", "the name q is unknown"),
+        (r"q", "the name q is unknown$"),
+        (r"\lambda e", "the name lambda is unknown; in code it is lambda_, since lambda is a word of Python$"),
     ],
 )
 def test_what_makes_no_sense_is_refused(text, said):
@@ -85,6 +86,9 @@ def test_what_makes_no_sense_is_refused(text, said):
         (r"a_{d,\mathrm{nominal}}", "a_d_nominal"),
         (r"\mathrm{maker\_gravity}", "maker_gravity"),
         (r"\bar\alpha", "alpha_bar"),
+        (r"\lambda", "lambda_"),
+        (r"\lambda_f", "lambda_f"),
+        (r"\lambda", "λ"),
     ],
 )
 def test_a_name_is_that_of_the_code(text, name):

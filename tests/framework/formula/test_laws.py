@@ -22,7 +22,7 @@ from dmframe.common.errors import BlockError
 from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
 from dmframe.formula import laws_of, printed
-from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
+from dmframe.formula.alone import law_of_type, options_of, read_type, simplest, variants
 from dmframe.formula.points import Pair, agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
@@ -39,8 +39,8 @@ def ports_of(kind):
 
 
 @pytest.mark.parametrize("name", list(KINDS))
-def test_every_block_type_prints_each_symbol_defined_or_says_that_it_needs_a_graph(name):
-    found = plainest(KINDS[name])
+def test_every_block_type_prints_each_symbol_defined_or_states_that_it_needs_a_graph(name):
+    found = simplest(KINDS[name])
     assert found is not None or name == "waypoints"
     if found is not None:
         assert found[1].matrices
@@ -81,9 +81,9 @@ def check_symbols(law, given):
             assert standard or any(sign.startswith(f"{unicode_name(item.function)}(") for sign in defined)
 
 
-def test_the_block_that_does_not_stand_with_its_defaults_prints_every_way_in_which_it_does():
+def test_the_block_that_cannot_be_created_with_its_defaults_prints_every_way_in_which_it_can():
     kind = KINDS["filtered_regressor"]
-    label, law = plainest(kind)
+    label, law = simplest(kind)
     assert label == "Gamma_b"
     lines = {line.name: line.right.text for line in (*law.outputs, *law.rates, *law.definitions)}
     assert lines["b_hat"] == "-Gamma_b e_f"
@@ -100,7 +100,7 @@ def test_an_option_that_needs_another_one_is_shown_with_it():
     assert "forgetting with R" in dict(options_of(KINDS["adaptive_kinematics"]))
 
 
-def test_what_prints_as_a_word_takes_the_parameters_that_it_says():
+def test_what_prints_as_a_word_takes_the_parameters_that_it_states():
     """Known places: mass and first moments of each link; the tool's translation comes last."""
     a = ca.DM(range(20))
     assert [float(x) for x in heavy(a).nonzeros()] == [0, 1, 2, 3, 10, 11, 12, 13]
@@ -275,7 +275,7 @@ def test_a_name_replaces_its_subexpression_and_is_defined_next_to_the_law():
         (lambda x, p: named("f", x.q) * p.k, "f, named twice, differs"),
     ],
 )
-def test_a_name_that_cannot_stand_is_refused_with_file_and_line(give, said):
+def test_an_invalid_name_is_refused_with_file_and_line(give, said):
     with pytest.raises(BlockError, match=said) as caught:
         printed(spring(give), "spring")
     assert "test_laws.py:" in caught.value.text

@@ -43,7 +43,7 @@ def written(folder: Path, factor: str) -> Path:
     return folder / "graph.yaml"
 
 
-def test_check_of_a_graph_whose_docstring_lies_fails_with_file_and_line(
+def test_check_of_a_graph_whose_docstring_is_false_fails_with_file_and_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = written(tmp_path, "-2")

@@ -52,7 +52,7 @@ def said(name: str, block: str = "") -> str:
 
 
 @pytest.mark.parametrize("name", ["ur10_fast", "torque_direct_pi", "theorem_3", "ur10_fast_position"])
-def test_a_block_stands_behind_those_whose_outputs_its_own_need(name: str) -> None:
+def test_a_block_follows_those_whose_outputs_its_own_need(name: str) -> None:
     diagram = dm.load(name).diagram
     places = {block: place for place, block in enumerate(order(diagram))}
     sides = [diagram.blocks[block].side.value for block in order(diagram)]
@@ -236,7 +236,7 @@ def test_the_verdict_is_that_of_verify_and_so_are_the_failing_conditions() -> No
     text = " ".join(item.text for item in weak.sections[-1].sentences)
     assert "Verdict: not applicable (dmframe verify pendulum --set inverse.K_c=0.1)." in text
     assert "Conditions that fail: inverse: M̄ ≥ 0" in text
-    assert "- geometry (kinematics) knows exactly the link lengths" in said("ur10_fast")
+    assert "- geometry (kinematics) uses exact values of the link lengths" in said("ur10_fast")
 
 
 def test_a_graph_without_a_certificate_has_no_energy() -> None:
@@ -276,7 +276,7 @@ def test_a_page_keeps_to_the_terminal_and_a_unit_to_its_signal(monkeypatch: pyte
     assert not [line for line in lines if line.rstrip().endswith(("[N", "[rad/(N", "(N m"))]
 
 
-def test_the_notebooks_page_says_the_same_and_escapes_it() -> None:
+def test_the_notebooks_page_states_the_same_and_escapes_it() -> None:
     found = dm.load("pendulum").set(title="a <b> & c").explain()
     html = found._repr_html_()
     assert "<b>pendulum: a &lt;b&gt; &amp; c</b>" in html

@@ -139,7 +139,7 @@ def test_the_armature_of_an_mjcf_file_becomes_the_rotor_of_the_arm(tmp_path):
         ("RRRRR", "l2", "2 joints move on the way to l2 (j1, j2); expected an arm with 4 to 7: name another frame"),
     ],
 )
-def test_a_robot_that_is_no_arm_is_refused_in_one_sentence(tmp_path, kinds, tool, reason):
+def test_a_robot_that_is_not_an_arm_is_refused_in_one_sentence(tmp_path, kinds, tool, reason):
     with pytest.raises(RobotError, match=re.escape(reason)):
         first_graph(str(chain_file(tmp_path, kinds, 0)), tmp_path, tool)
 

@@ -76,7 +76,7 @@ def test_data_may_hold_arrays_tuples_and_numbers_of_numpy() -> None:
         (7, "load: expected a graph's name, its path, its text or a dictionary, found int"),
     ],
 )
-def test_text_that_is_no_graph_is_refused_with_its_place(source: Any, text: str) -> None:
+def test_text_that_is_not_a_graph_is_refused_with_its_place(source: Any, text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         dm.load(source)
     assert text in str(caught.value)
@@ -153,7 +153,7 @@ def test_a_run_lasts_as_long_as_requested(pendulum: dm.Graph, until: Any) -> Non
 
 
 @pytest.mark.parametrize("until", [0, "-1 s", "soon", np.inf, True])
-def test_a_time_that_is_none_is_refused(pendulum: dm.Graph, until: Any) -> None:
+def test_a_time_that_is_invalid_is_refused(pendulum: dm.Graph, until: Any) -> None:
     with pytest.raises(DmframeError, match=f"until {until}: expected"):
         pendulum.run(until)
 
@@ -193,14 +193,14 @@ def test_the_default_figures_of_a_run_are_a_page_for_a_notebook(pendulum: dm.Gra
     assert "None" not in page
 
 
-def test_a_title_that_is_a_script_stands_as_text(pendulum: dm.Graph) -> None:
+def test_a_title_that_is_a_script_is_shown_as_text(pendulum: dm.Graph) -> None:
     graph = pendulum.set(title="<script>alert(1)</script>")
     for page in (graph._repr_html_(), graph.run()._repr_html_(), graph.verify()._repr_html_()):
         assert "<script" not in page
         assert "&lt;script" in page
 
 
-def test_a_verification_says_what_the_command_line_says(found: Verification, tmp_path: Path) -> None:
+def test_a_verification_states_what_the_command_line_states(found: Verification, tmp_path: Path) -> None:
     assert isinstance(found, Verification)
     assert (found.proved, found.outcome, found.summary["seed"]) == (True, "proved", 3)
     assert [item.signal for item in found.conclusions] == ["q - q_d", "d(q - q_d)/dt"]
@@ -315,7 +315,7 @@ def test_an_unknown_engine_is_refused(pendulum: dm.Graph) -> None:
         pendulum.run("0.1 s", engine="fast")  # type: ignore[arg-type]
 
 
-def test_a_run_says_that_its_loop_is_unstable_on_its_clock_though_it_stayed_bounded() -> None:
+def test_a_run_states_that_its_loop_is_unstable_on_its_clock_though_it_stayed_bounded() -> None:
     notices = dm.load("ur10_slow").run("12 s").notices
     assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in notices)
     assert dm.load("ur10_slow").run("5 s").notices == ()  # too short to be worth the look
@@ -377,7 +377,7 @@ def test_a_run_that_is_not_as_long_as_requested_gives_a_notice(pendulum: dm.Grap
     assert repr(few).startswith("<Run pendulum: 500 ms, to its end")
 
 
-def test_a_measurement_that_was_forgotten_moves_no_arm() -> None:
+def test_an_omitted_measurement_moves_no_arm() -> None:
     controller = dm.load("ur10_fast_tuned").controller()
     assert controller.step(0.0) is False
     for array in controller.measured.values():

@@ -124,7 +124,7 @@ def test_a_sweep_of_nothing_is_one_run(design: Any, shape: tuple[int, ...]) -> N
     assert found["rms_final"].shape == shape
 
 
-def test_limits_may_have_units_and_one_signal_may_stand_alone() -> None:
+def test_limits_may_have_units_and_one_signal_may_be_alone() -> None:
     one = dm.sweep("pendulum", {"dynamics.Gamma": [1]}, until=0.1, signals="servo.u", limits={"error": "1 mrad"})
     two = dm.sweep("pendulum", {"dynamics.Gamma": [1]}, until=0.1, signals=["servo.u"], limits={"error": 1e-3})
     assert one.identical(two)

@@ -28,6 +28,7 @@ class Hidden:
     viscous: Array = field(default_factory=lambda: np.array([9.0, 7.0, 3.0]))
     coulomb: Array = field(default_factory=lambda: np.array([10.0, 9.0, 4.0]))
     v_0: float = 0.02
+    per_torque: float = 0.0
     hysteresis: float = 0.0
     mass: float = 1.15
     rotor: float = 0.8
@@ -71,7 +72,8 @@ def record(
     def rate(x: Array, dq_c: Array) -> Array:
         q, v, q_c, z, bristle = x.reshape(5, 3)
         tau = (hidden.f * dq_c - v + hidden.a * q_c - hidden.b * (q - START)) / hidden.w + z
-        tau = tau - hidden.viscous * v - hidden.coulomb * np.tanh(v / hidden.v_0) - hidden.hysteresis * bristle
+        dry = hidden.coulomb + hidden.per_torque * np.abs(tau)
+        tau = tau - hidden.viscous * v - dry * np.tanh(v / hidden.v_0) - hidden.hysteresis * bristle
         slip = (v - np.abs(v) * bristle) / 0.02  # Dahl's model: friction with memory, not of the twin's family
         zeta = hidden.c * (q_c - q + START) / hidden.w
         return np.concatenate([v, pin.aba(model, data, q, v, tau), dq_c, zeta, slip])

@@ -12,9 +12,11 @@ from ruamel.yaml import YAML
 import dmframe as dm
 from dmframe.identification.drawn import thetas
 from dmframe.identification.found import Identified
+from dmframe.identification.identify import chain_of
+from dmframe.identification.log import Log
 from dmframe.identification.model import model_of
 from dmframe.identification.twin import schedule, twins_of
-from tests.framework.identify.plants import Hidden, record, write
+from tests.framework.identify.plants import QUANTUM, Hidden, record, write
 
 K_P, K_I = np.array([5.0, 7.0, 9.0]), np.array([4.0, 8.0, 6.0])
 
@@ -91,6 +93,38 @@ def test_a_cascade_without_feed_forward_is_found_although_its_integrator_turns_w
     assert found.servo["k_p"][0] == pytest.approx(p, rel=0.01)
     assert found.servo["f"][0] == pytest.approx([0] * 3, abs=0.01)
     assert found.delay[0] == pytest.approx(1, abs=0.05)
+
+
+def test_a_twin_moves_as_a_hidden_robot_whose_friction_grows_with_the_torque() -> None:
+    hidden = Hidden(K_P, K_P, K_I, per_torque=0.1)
+    t, q, u = record(hidden, seconds=3.0)
+    log, model = Log(t, q, u[:-1], np.zeros(3)), model_of(chain_of("ur10_slow"))
+    rotors = model.grouping[:, model.base.parameters.places("rotor")] @ np.full(3, hidden.rotor)
+    number = {"f": hidden.f, "a": hidden.a, "b": hidden.b, "c": hidden.c, "w": hidden.w, "v_0": hidden.v_0, "v_s": 1.0}
+    number |= {"B": hidden.viscous, "D": hidden.coulomb, "L": hidden.per_torque, "q_0": q[0]}
+    number["beta"] = hidden.mass * model.nominal + rotors
+    p = np.zeros((model.size, 2))
+    for name, value in number.items():
+        p[model.places[name]] = np.reshape(np.broadcast_to(value, p[model.places[name], 0].shape), (-1, 1))
+    p[model.places["L"], 1] = 0.0
+    found = twins_of(model).positions(schedule(log, log.period), p)
+    error = np.max(np.abs(found - q[:, :, None]), axis=(0, 1))
+    assert error[0] < QUANTUM
+    assert error[1] > 20 * QUANTUM
+
+
+def test_friction_that_grows_with_the_torque_is_found_and_in_the_twin(tmp_path: Path) -> None:
+    file = write(tmp_path / "log.csv", *record(Hidden(K_P, K_P, K_I, per_torque=0.06), seconds=9.5))
+    found = dm.identify(file, "ur10_slow", out=tmp_path / "out")
+    assert found.kind == "pid"
+    assert found.servo["k_P"][0] == pytest.approx(K_P, rel=0.005)
+    assert found.delay[0] == pytest.approx(1, abs=0.02)
+    value, limits = found.friction["per_torque"]
+    assert value == pytest.approx([0.06] * 3, rel=0.1)
+    assert np.all(np.abs(value - 0.06) < 0.75 * (limits[:, 1] - limits[:, 0]))  # three standard deviations
+    check_twin(found, tmp_path / "out")
+    [block] = [block for block in dm.load(tmp_path / "out" / "twin.yaml").blocks.values() if hasattr(block, "uneven")]
+    assert block.per_torque == pytest.approx(value)
 
 
 def test_friction_with_memory_is_no_confident_twin(tmp_path: Path) -> None:

@@ -49,18 +49,26 @@ GAINS = np.array([5.0, 7.0, 9.0]), np.array([4.0, 8.0, 6.0])
 CELL = Cell(0.008, "wander", "draw_1", "log")
 
 
-def known(robot: str = "ur10_slow", delay: float = 1.0, period: float = 0.008, spread: float = 1e-3) -> Identified:
+def known(
+    robot: str = "ur10_slow",
+    delay: float = 1.0,
+    period: float = 0.008,
+    spread: float = 1e-3,
+    per_torque: float = 0.0,
+) -> Identified:
     """A PID servo with known numbers and covariance on a log without a simulation; nothing is fitted."""
     chain = chain_of(robot)
     n, t = chain.n, period * np.arange(2000)
     q = 0.3 * np.sin(np.outer(t, 1 + np.arange(n))) + np.resize(START, n)
     q += np.random.default_rng(1).normal(0, 1e-5, q.shape)
     log = Log(t, q, np.diff(q, axis=0) / period, np.zeros(n))
-    unknowns = Unknowns(model_of(chain), log, "pid")
+    unknowns = Unknowns(model_of(chain), log, "pid", by_torque=per_torque > 0)
     theta, at = np.zeros(unknowns.size), unknowns.places
     theta[at["w"]] = -np.log(np.resize([700, 900, 450], n))
     theta[at["k_P"]], theta[at["k_I"]] = (np.log(np.resize(gains, n)) for gains in GAINS)
     theta[at["B"]], theta[at["D"]] = 0.01, 0.012
+    if per_torque:
+        theta[at["L"]] = per_torque
     theta[at["v_0"]], theta[at["v_s"]], theta[at["delay"]] = math.log(0.005), math.log(0.05), delay
     root = spread * np.random.default_rng(2).normal(size=(unknowns.size, unknowns.size)) / np.sqrt(unknowns.size)
     covariance = root @ root.T
@@ -376,8 +384,21 @@ def test_intervals_are_wider_where_the_fit_leaves_more_than_noise() -> None:
     assert list(_above(found)) == []
 
 
-def test_measured_torques_give_the_factor_that_positions_do_not_determine() -> None:
-    found = known()
+def test_friction_that_grows_with_the_torque_is_in_the_result_its_page_its_graph_and_its_race(tmp_path: Path) -> None:
+    found = known(per_torque=0.05)
+    assert "per_torque" not in known().summary["friction"]
+    assert found.summary["friction"]["per_torque"]["value"] == pytest.approx([0.05] * 3)
+    assert "friction per torque" in as_html(found)
+    blocks = YAML().load(graph_text(found))["blocks"]
+    assert blocks["rubbing"] == {"type": "stribeck_friction", "per_torque": pytest.approx([0.05] * 3)}
+    drawn = [plant.blocks["rubbing"]["per_torque"] for plant in raced(found, tmp_path, draws=8).file.plants.values()]
+    assert drawn[0] == pytest.approx([0.05] * 3)
+    assert np.all(np.std(drawn, axis=0) > 0)
+
+
+@pytest.mark.parametrize("per_torque", [0.0, 0.3])
+def test_measured_torques_give_the_factor_that_positions_do_not_determine(per_torque: float) -> None:
+    found = known(per_torque=per_torque)
     fit, log = found.fit, found.fit.unknowns.log
     chain, beta = fit.unknowns.model.chain, found.number("beta")[0]
     plant = Plant.of(fit.unknowns, fit.theta)
@@ -393,7 +414,9 @@ def test_measured_torques_give_the_factor_that_positions_do_not_determine() -> N
     angle = np.outer(log.time, rates)
     q, dq, ddq = 0.3 * np.sin(angle) + START, 0.3 * rates * np.cos(angle), -0.3 * rates**2 * np.sin(angle)
     tau = np.array([pin.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
-    tau += plant.rotors * ddq + plant.viscous * dq + plant.coulomb * np.tanh(dq / found.number("v_0")[0])
+    sign = np.tanh(dq / found.number("v_0")[0])
+    tau += plant.rotors * ddq + plant.viscous * dq + plant.coulomb * sign
+    tau /= 1 - per_torque * np.sign(tau) * sign  # tau = rest + per_torque |tau| sign
     noisy = 1.3 * tau + 4 + np.random.default_rng(0).normal(0, 0.5, tau.shape)
     some = factors(fit, {"tau": noisy})
     assert [own.factor for own in some] == pytest.approx([1.3] * 3, rel=0.02)

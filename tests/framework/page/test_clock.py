@@ -40,7 +40,7 @@ def test_the_bounds_of_a_page_are_where_the_sampled_loop_becomes_unstable() -> N
     assert below <= 1 + 1e-9 < above
 
 
-def test_beyond_the_bounds_the_verdict_is_not_green_and_says_so() -> None:
+def test_beyond_the_bounds_the_verdict_is_not_green_and_reports_it() -> None:
     data = clocked()
     least = min(data["periods"]["rest"], data["periods"]["moving"])
     inside, beyond = said(data, data["clock"], 1.01 * least)

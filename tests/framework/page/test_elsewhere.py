@@ -272,7 +272,7 @@ def test_the_command_of_a_page_holds_the_changes_that_its_graph_has() -> None:
     assert content_of_graph(other)["command"]["text"] == "dmframe run mine.yaml"
 
 
-def test_over_intervals_no_text_says_that_a_condition_fails_at_the_numbers(uncertain: Any) -> None:
+def test_over_intervals_no_text_states_that_a_condition_fails_at_the_numbers(uncertain: Any) -> None:
     graph, data = uncertain
     holds, fails = str(graph.explain()), str(graph.set({"inverse.K_c": 0.5}).explain())
     plain = [" ".join(text.split()) for text in (holds, fails)]

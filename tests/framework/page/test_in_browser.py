@@ -74,7 +74,7 @@ def saved(folder: Path, html: str) -> Path:
     return page
 
 
-def test_a_page_from_a_disk_says_truly_what_is_proved_where_its_sliders_stand(tab: Browser, tmp_path: Path) -> None:
+def test_a_page_from_a_disk_states_truly_what_is_proved_where_its_sliders_are(tab: Browser, tmp_path: Path) -> None:
     judges_truly(tab, saved(tmp_path, assembled(content("ur10_fast"))))
 
 
@@ -119,7 +119,7 @@ def places_under_the_pointer(tab: Browser, page: Path, size: tuple[int, int]) ->
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW])
-def test_a_slider_stays_under_the_pointer_whatever_the_verdict_says(
+def test_a_slider_stays_under_the_pointer_whatever_the_verdict_states(
     tab: Browser, tmp_path: Path, size: tuple[int, int]
 ) -> None:
     assert len(places_under_the_pointer(tab, saved(tmp_path, assembled(content("ur10_fast"))), size)) == 1
@@ -322,7 +322,7 @@ def test_values_in_an_address_that_a_page_cannot_set_are_reported(tab: Browser, 
     assert tab.said == []
 
 
-def test_a_page_whose_scripts_are_not_allowed_says_so(tab: Browser, tmp_path: Path) -> None:
+def test_a_page_whose_scripts_are_not_allowed_shows_a_note(tab: Browser, tmp_path: Path) -> None:
     html = assembled(content("arm2_joint"))
     for allowed, headline, says in [
         ("'none'", "Loading", "scripts are switched off or not allowed"),
@@ -363,7 +363,7 @@ def test_a_robot_is_still_drawn_when_the_browser_takes_the_card_away(tab: Browse
 
 
 @IN_ONE
-def test_a_proved_loop_that_diverges_at_the_integrators_steps_says_that_they_are_too_long(
+def test_a_proved_loop_that_diverges_at_the_integrators_steps_states_that_they_are_too_long(
     tab: Browser, tmp_path: Path
 ) -> None:
     tab.opened(saved(tmp_path, assembled(content("pendulum"))))
@@ -376,7 +376,7 @@ def test_a_proved_loop_that_diverges_at_the_integrators_steps_says_that_they_are
 
 
 @IN_ONE
-def test_a_graph_of_a_path_alone_says_that_there_is_nothing_to_draw(tab: Browser, tmp_path: Path) -> None:
+def test_a_graph_of_a_path_alone_states_that_there_is_nothing_to_draw(tab: Browser, tmp_path: Path) -> None:
     path = "{type: sinusoid, center: [45 deg], amplitude: [30 deg], rate: [0.9 rad/s]}"
     text = f"dmframe: 1\nclock: 2 ms\nduration: 1 s\nblocks:\n  path: {path}\n"
     tab.opened(saved(tmp_path, dm.load(text, name="path").page().html))

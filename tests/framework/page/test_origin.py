@@ -40,7 +40,7 @@ def test_a_licence_next_to_a_urdf_is_carried_and_a_robot_without_one_is_reported
     assert again["licences"] == [{"name": "robot/LICENSE", "text": "Do as you like.\n"}]
 
 
-def test_a_page_bears_the_hash_of_the_model_that_it_runs() -> None:
+def test_a_page_contains_the_hash_of_the_model_that_it_runs() -> None:
     assert content("arm2_joint")["fingerprint"] == dm.load("arm2_joint").diagram.fingerprint
     other = dm.load("arm2_joint").set({"task.alpha_bar": 3})
     assert len(other.diagram.fingerprint) >= 16

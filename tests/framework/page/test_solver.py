@@ -125,7 +125,7 @@ def test_a_stiff_plant_gets_the_steps_that_run_takes() -> None:
     np.testing.assert_allclose(found["states"][-1], columns(run)[-1], rtol=1e-6, atol=1e-9)
 
 
-def test_a_run_that_blows_up_ends_where_run_says_it_does() -> None:
+def test_a_run_that_diverges_ends_where_run_states_it_does() -> None:
     data, p = content("arm2_joint"), list(content("arm2_joint")["p"])
     at = next(slider["at"] for slider in data["sliders"] if slider["label"] == "task.alpha_bar")
     p[at] = 200.0

@@ -119,7 +119,7 @@ def test_conclusions_are_of_the_files_numbers() -> None:
     assert "continuous time" in clock["sentences"][-1]
 
 
-def test_a_loop_without_a_proof_says_why() -> None:
+def test_a_loop_without_a_proof_gives_the_reason() -> None:
     reason = "inverse: a kinematic_command has no certificate"
     (found,) = said(stated(outcome="not_applicable", headline="not applicable", reason=reason), margins())
     assert found["state"] == "unproved"

@@ -7,6 +7,8 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import casadi as ca
@@ -28,6 +30,7 @@ from dmframe.program import OPERATIONS, read, run
 from dmframe.regressor import polynomial
 from dmframe.regressor.python_source import RULES as NUMPY_RULES
 from dmframe.regressor.python_source import _statements
+from tests.page_code import page_module
 
 POINTS: Final = ((0.375, 0.75), (-0.375, 0.75), (1.75, -2.25), (2.5, 2.5), (0.0, 0.625), (0.625, 0.0), (-3.0, -0.5))
 CODES: Final = sorted(OPERATIONS)
@@ -103,6 +106,17 @@ def in_numpy(f: Any, x: float, y: float) -> float:
     return float(scope["o0"][0, 0])
 
 
+with TemporaryDirectory() as _folder:
+    PAGE: Final = page_module("docs/how_to/extend.md", "plain_python.py", Path(_folder))
+
+
+def in_plain_python(f: Any, x: float, y: float) -> float:
+    """The function that the target of docs/how_to/extend.md writes."""
+    scope: dict[str, Any] = {"math": math}
+    exec(PAGE.function(f), scope)
+    return float(scope["f"]([x], [y])[0])
+
+
 def again(f: Any, x: float, y: float) -> float:
     """Rebuilt as an expression, operation by operation."""
     program, symbols = read(f), [ca.SX.sym("x"), ca.SX.sym("y")]
@@ -125,15 +139,17 @@ TARGETS: Final[dict[str, tuple[Target, dict[int, Any]]]] = {
     "balls": (in_balls, balls.RULES),
     "polynomials": (in_polynomials, polynomial.RULES),
     "numpy": (in_numpy, NUMPY_RULES),
+    "plain python": (in_plain_python, PAGE.RULES),
     "again": (again, points.REBUILT),
 }
 REFUSED: Final = {
     "fractions": r"f: expected \+ - \* / only, found CasADi's instruction {}; its sign cannot be decided",
     "intervals": r"f: expected \+ - \* / only, found CasADi's instruction {}; its sign cannot be decided",
     "enclosures": r"f: expected \+ - \* /, sin and cos only, found CasADi's instruction {}",
-    "balls": "no enclosure is known of CasADi's instruction {}",
+    "balls": "CasADi's instruction {} has no enclosure rule",
     "polynomials": "f: expected sums and products of symbols, sines and cosines, found CasADi's instruction {}",
     "numpy": "Python source of f: expected plain operations, found CasADi's {}",
+    "plain python": "f: no rule for CasADi's instruction {}",
 }
 ARITHMETIC_NAMES: Final = "add sub mul div neg sq twice inv"
 HELD: Final = {
@@ -143,6 +159,7 @@ HELD: Final = {
     "balls": " ".join(operation.name for operation in OPERATIONS.values() if operation.name != "erfinv"),
     "polynomials": "add sub mul neg sq twice sin cos",
     "numpy": f"{ARITHMETIC_NAMES} sin cos tanh",
+    "plain python": f"{ARITHMETIC_NAMES} sin cos tanh exp sqrt fabs fmin fmax lt le eq ne not and or if_else_zero",
     "again": " ".join(operation.name for operation in OPERATIONS.values()),
 }
 
@@ -251,7 +268,7 @@ def test_polynomials_in_time_have_the_rules_of_numbers(code: int, monkeypatch: p
     assert not on_polynomials(code)
 
 
-def test_the_field_reads_back_what_is_rational_and_knows_nothing_else() -> None:
+def test_the_field_reconstructs_rational_values_only() -> None:
     rational_ones = {*ARITHMETIC, ca.OP_FABS}
     for code in CODES:
         for x, y in POINTS:
@@ -307,7 +324,7 @@ def test_wrong_rules_in_c_are_caught() -> None:
     assert [OPERATIONS[code].name for code, alike in zip(IN_C, same, strict=True) if alike] == []
 
 
-def test_numbers_that_are_none_are_written_in_c_and_refused_elsewhere() -> None:
+def test_numbers_that_are_not_finite_are_written_in_c_and_refused_elsewhere() -> None:
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [ca.vertcat(x + math.nan, x + math.inf, x * -math.inf, x * -2.5)])
     text = c.written(f)

@@ -27,7 +27,7 @@ from dmframe.prove.faults import inject_faults
 from dmframe.prove.identity import Points, bound_of, empty, identity, inputs_at
 from dmframe.prove.point import equalities
 from dmframe.prove.reals import Balls
-from dmframe.prove.rules import inverse_of, taken
+from dmframe.prove.rules import inverse_of, step_result
 
 
 @cache
@@ -91,7 +91,7 @@ print(identity(found, trials=2, seed=0).zero, len(faults), all(fault.refuted for
     assert (done.stdout, done.stderr) == (f"True {len(inject_faults(claim('arm2_joint'), seed=0))} True\n", "")
 
 
-def test_a_corrupted_file_is_refused_or_refuted_or_says_the_same() -> None:
+def test_a_corrupted_file_is_refused_or_refuted_or_states_the_same() -> None:
     text, rng = to_json(claim("arm2_joint")), random.Random(4)
     outcomes = {"refused": 0, "refuted": 0, "zero": 0}
     for _ in range(60):
@@ -116,18 +116,18 @@ def test_a_corrupted_file_is_refused_or_refuted_or_says_the_same() -> None:
     ("change", "says"),
     [
         (lambda found: found.update(version=2), "expected version 1, found 2"),
-        (lambda found: found.pop("symbols"), "symbols: missing from a Claim"),
+        (lambda found: found.pop("symbols"), "symbols: missing or unknown key of a Claim"),
         (lambda found: found["program"]["nodes"].append(["launch", 0]), "KeyError: 'launch'"),
         (lambda found: found["program"]["nodes"].insert(0, ["add", 0, 0]), "the instruction 0, add"),
         (lambda found: found["program"].update(nodes=[]), "ValueError"),
     ],
 )
-def test_what_is_no_claim_is_refused(change: Any, says: str) -> None:
+def test_what_is_not_a_claim_is_refused(change: Any, says: str) -> None:
     found = json.loads(to_json(claim("arm2_joint")))
     change(found)
     with pytest.raises(ValueFault, match=says):
         from_json(json.dumps(found))
-    with pytest.raises(ValueFault, match="a claim: expected what `to_json` writes"):
+    with pytest.raises(ValueFault, match="a claim: expected the format of `to_json`"):
         from_json("no JSON")
 
 
@@ -188,7 +188,7 @@ def test_the_checkers_steps_are_those_of_the_symbolic_lemma(squares: bool, box: 
         steps = NormalisedSteps("w", *common, rows, ends)
     given, function, inputs = numbers_of(steps, random.Random(6))
     rule = Steps("least_squares" if squares else "normalised", "w", "G" if squares else "", parts, 2, box, {})
-    found = taken(Balls(), rule, given)
+    found = step_result(Balls(), rule, given)
     ours = [*found.moves.values(), [found.moved], [found.lost], [found.gained]]
     theirs = [out.full().ravel().tolist() for out in function(*inputs)]
     for one, other in zip(ours, theirs, strict=True):

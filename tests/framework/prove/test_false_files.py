@@ -68,7 +68,7 @@ def time_stands_still(found: dict[str, Any]) -> None:
 
 
 FALSE: dict[str, tuple[Change, str]] = {
-    "a state of V without a move": (lambda f: f["moves"].pop(next(iter(f["moves"]))), "read 0 times"),
+    "a state of V without a move": (lambda f: f["moves"].pop(next(iter(f["moves"]))), "used 0 times"),
     "a state of V called a projection": (
         lambda f: symbol(f, "arm.q").update(kind="projection"),
         "expected moves of .*, found one of arm.q",
@@ -78,9 +78,9 @@ FALSE: dict[str, tuple[Change, str]] = {
         "found one of task.alpha",
     ),
     "a move of no symbol": (lambda f: f["moves"].update({"task.nothing": "task.supply"}), "found one of task.nothing"),
-    "time that stands still": (time_stands_still, "expected t to move by 1 a second"),
-    "V that jumps": (jumping_storage, "holds floor, which jumps"),
-    "V with a copy of a gain": (copied_gain, "holds .*changed, which has no move|changed in the moves alone"),
+    "time that stands still": (time_stands_still, "expected t to have the rate 1"),
+    "V that jumps": (jumping_storage, "contains floor, which is discontinuous"),
+    "V with a copy of a gain": (copied_gain, "V depends on .*changed, which has no rate|changed only in rates"),
     "a state with a value": (
         lambda f: symbol(f, "arm.q").update(values=["0"] * symbol(f, "arm.q")["size"]),
         "expected values of a parameter alone",
@@ -89,40 +89,49 @@ FALSE: dict[str, tuple[Change, str]] = {
     "two symbols of one label": (lambda f: symbol(f, "arm.q").update(label="arm.dq"), "found arm.dq twice"),
     "two outputs of one name": (
         lambda f: f["program"]["outputs"][1].__setitem__(0, f["program"]["outputs"][0][0]),
-        "a name of its own",
+        "a unique name",
     ),
     "a gain that is no parameter": (lambda f: f["gains"].append("arm.q"), "expected gains to be parameters"),
     "a gain that is no symbol": (lambda f: f["gains"].append("task.x"), "expected gains to be parameters"),
-    "a weight that is no weight": (lambda f: part(f, "task").update(weight="x"), "expected a weight that is a symbol"),
-    "a weight that is a state": (lambda f: part(f, "task").update(weight="arm.q"), "expected a weight that is a sym"),
+    "a weight that is no weight": (
+        lambda f: part(f, "task").update(weight="x"),
+        "expected a symbol of the kind weight",
+    ),
+    "a weight that is a state": (
+        lambda f: part(f, "task").update(weight="arm.q"),
+        "expected a symbol of the kind weight",
+    ),
     "a rule that is unknown": (lambda f: part(f, "task")["stored"][0].update(rule="x"), "stored: expected terms"),
     "a rule of another role": (lambda f: part(f, "task")["stored"][0].update(rule="clipped"), "stored: expected terms"),
     "a rule of other parts": (
         lambda f: part(f, "task")["stored"][0].update(rule="potential"),
         "stored: expected terms",
     ),
-    "an output that is read twice": (lambda f: part(f, "task").update(lemma=part(f, "task")["supply"]), "read 2 times"),
+    "an output that is read twice": (lambda f: part(f, "task").update(lemma=part(f, "task")["supply"]), "used 2 times"),
     "an output that is unknown": (lambda f: part(f, "task").update(supply="x"), "expected an output of the program"),
-    "no parts": (lambda f: f.update(parts=[], composed=[]), "expected a part that stores something"),
-    "a block twice": (lambda f: f["parts"].append(part(f, "task")), "expected each part to be of a block|read 2"),
+    "no parts": (lambda f: f.update(parts=[], composed=[]), "expected a part with a stored term"),
+    "a block twice": (lambda f: f["parts"].append(part(f, "task")), "expected one part per block|used 2"),
     "samples of a flow": (lambda f: f.update(operator="sample"), ""),
     "no operator": (lambda f: f.update(operator="flaw"), "expected one of flow, sample, found 'flaw'"),
-    "an unknown key": (lambda f: f.update(more=1), "more: missing from a Claim, or no part of one"),
-    "an unknown key of a term": (lambda f: part(f, "task")["stored"][0].update(sign=1), "sign: missing from a Term"),
+    "an unknown key": (lambda f: f.update(more=1), "more: missing or unknown key of a Claim"),
+    "an unknown key of a term": (
+        lambda f: part(f, "task")["stored"][0].update(sign=1),
+        "sign: missing or unknown key of a Term",
+    ),
     "a missing key": (lambda f: f.pop("reversed"), "reversed: missing"),
     "true as the version": (lambda f: f.update(version=True), "expected version 1"),
-    "a negative size": (lambda f: symbol(f, "arm.q").update(size=-2), "not negative, found -2"),
+    "a negative size": (lambda f: symbol(f, "arm.q").update(size=-2), "at least 0, found -2"),
     "a size beyond memory": (
         lambda f: (symbol(f, "arm.q").update(size=10**15), f["program"]["inputs"][1].__setitem__(2, 10**15)),
         "",
     ),
-    "a negative place": (lambda f: f["program"]["outputs"][0][3].__setitem__(0, -1), "not negative, found -1"),
-    "a place twice": (lambda f: f["program"]["outputs"][0][3].__setitem__(1, 0), "each once"),
-    "a place beyond": (lambda f: f["program"]["outputs"][0][3].__setitem__(0, 10**9), "each once"),
-    "a negative source": (lambda f: f["program"]["outputs"][0][4].__setitem__(0, -1), "not negative, found -1"),
-    "a negative operand": (lambda f: f["program"]["nodes"].append(["neg", -1]), "not negative, found -1"),
-    "a negative input": (lambda f: f["program"]["nodes"].append(["input", -1, 0]), "not negative, found -1"),
-    "a fraction as operand": (lambda f: f["program"]["nodes"].append(["neg", 0.0]), "not negative, found 0.0"),
+    "a negative place": (lambda f: f["program"]["outputs"][0][3].__setitem__(0, -1), "at least 0, found -1"),
+    "a place twice": (lambda f: f["program"]["outputs"][0][3].__setitem__(1, 0), "element once"),
+    "a place beyond": (lambda f: f["program"]["outputs"][0][3].__setitem__(0, 10**9), "element once"),
+    "a negative source": (lambda f: f["program"]["outputs"][0][4].__setitem__(0, -1), "at least 0, found -1"),
+    "a negative operand": (lambda f: f["program"]["nodes"].append(["neg", -1]), "at least 0, found -1"),
+    "a negative input": (lambda f: f["program"]["nodes"].append(["input", -1, 0]), "at least 0, found -1"),
+    "a fraction as operand": (lambda f: f["program"]["nodes"].append(["neg", 0.0]), "at least 0, found 0.0"),
     "no denominator": (lambda f: f["program"]["nodes"].append(["const", "1/0"]), "ZeroDivisionError"),
     "a number with an exponent": (
         lambda f: f["program"]["nodes"].append(["const", "1e99"]),
@@ -151,7 +160,7 @@ def test_a_false_file_is_refused(fault: str, tmp_path: Path, capsys: pytest.Capt
     "content",
     [b"", b"null", b"[]", b"{}", b"\xff", b'"x"', b"[" * 10**5, b'{"version": 1, "version": 1}', b'{"version": 1e999}'],
 )
-def test_a_file_that_is_no_claim_is_refused_without_a_traceback(
+def test_a_file_that_is_not_a_claim_is_refused_without_a_traceback(
     content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "claim.json"
@@ -172,7 +181,7 @@ def test_a_file_whose_moves_are_exchanged_does_not_hold(tmp_path: Path, capsys: 
 
 def test_a_key_that_a_reader_might_read_otherwise_is_refused() -> None:
     twice = text().replace('"operator":"flow"', '"operator":"sample","operator":"flow"')
-    with pytest.raises(ValueFault, match="a key twice among"):
+    with pytest.raises(ValueFault, match="a repeated key among"):
         from_json(twice)
 
 
@@ -195,4 +204,4 @@ def test_an_identity_of_a_degree_without_an_error_bound_is_not_decided(
     assert main([str(path)]) == 0
     path.write_text(changed(lambda f: steep(f, 600)), encoding="utf-8")
     assert main([str(path)]) == 2
-    assert "the degree of what is claimed is too high" in capsys.readouterr().err
+    assert "the degree of the claim is too high" in capsys.readouterr().err

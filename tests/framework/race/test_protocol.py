@@ -220,7 +220,7 @@ def test_a_law_may_have_a_graph_for_each_range_of_sampling_periods(race: Make, t
     assert [found.candidates("tuned", clock)[0][0][1] for clock in found.file.clocks] == [4, 4, 4]
 
 
-def test_the_packaged_race_has_what_it_promises_and_its_quick_part_24_cells() -> None:
+def test_the_packaged_race_has_what_its_page_states_and_its_quick_part_24_cells() -> None:
     found = load_race("packaged")
     paths = found.file.paths
     assert len(paths) >= 10

@@ -150,7 +150,7 @@ def test_lines_of_the_journal_that_no_race_has_written_are_left_out(tmp_path: Pa
 
 
 @pytest.mark.parametrize("make", [Path.mkdir, lambda path: path.symlink_to("/dev/full")])
-def test_a_journal_that_is_no_file_is_refused(make: Callable[[Path], None], tmp_path: Path) -> None:
+def test_a_journal_that_is_not_a_file_is_refused(make: Callable[[Path], None], tmp_path: Path) -> None:
     make(tmp_path / JOURNAL)
     with pytest.raises(DmframeError, match="expected the journal of a race, found no regular file"):
         compute.Kept(tmp_path)

@@ -57,7 +57,7 @@ def test_counts_are_the_known_ones(name: str, friction: tuple[str, ...], count: 
 
 
 @pytest.mark.parametrize("name", ["ur10 of three joints", "ur10", "panda", "xarm7", "arm2"])
-def test_the_kept_columns_carry_the_whole_regressor_exactly(name: str) -> None:
+def test_the_kept_columns_span_the_whole_regressor_exactly(name: str) -> None:
     found = base(name, BOTH)
     sampler = Sampler(full_regressor(chain(name), BOTH))
     rng = random.Random(99)

@@ -53,7 +53,7 @@ def test_compiled_c_is_pinocchios_regressor_in_rows(tmp_path: Path) -> None:
     assert len(names) == 30
 
 
-def test_compiled_base_regressor_carries_pinocchios_torque(tmp_path: Path) -> None:
+def test_compiled_base_regressor_gives_pinocchios_torque(tmp_path: Path) -> None:
     friction = ("viscous", "coulomb")
     names = export_c(ur10(), tmp_path / "base.c", friction, base=True)
     library = compiled(tmp_path / "base.c")
@@ -68,7 +68,7 @@ def test_compiled_base_regressor_carries_pinocchios_torque(tmp_path: Path) -> No
     assert np.allclose(call(library, motion, (3, 21)) @ beta, torque, rtol=1e-10)
 
 
-def test_the_header_says_what_the_numbers_mean(tmp_path: Path) -> None:
+def test_the_header_states_what_the_numbers_mean(tmp_path: Path) -> None:
     from dmframe import __version__
 
     export_c(ur10(), tmp_path / "full.c", ["viscous"])
@@ -110,7 +110,7 @@ def test_a_file_that_cannot_be_written_leaves_what_was_there(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [tmp_path / "taken.c"]
 
 
-def test_a_function_that_is_no_regressor_is_refused(tmp_path: Path) -> None:
+def test_a_function_that_is_not_a_regressor_is_refused(tmp_path: Path) -> None:
     x = ca.SX.sym("x")
     with pytest.raises(ShapeError, match="C source of f: expected inputs q, dq, dq_ref, ddq_ref and one output, found"):
         write_c(ca.Function("f", [x], [x]), tmp_path / "f.c")

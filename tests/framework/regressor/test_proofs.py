@@ -107,13 +107,13 @@ class Faulty:
         ({"kinematic_regressor": lambda r, q, psi: r.kinematic_regressor(psi, q)}, {"kinematic regressor"}),
     ],
 )
-def test_a_fault_in_one_quantity_is_refuted_where_it_stands(wrong: dict[str, Any], expected: set[str]) -> None:
+def test_a_fault_in_one_quantity_is_refuted_where_it_is(wrong: dict[str, Any], expected: set[str]) -> None:
     chain = load("arm3")
     robot: Any = Faulty(SymbolicRobot(chain), **wrong)
     assert failing(prove(chain, trials=1, robot=robot)) == expected
 
 
-def test_the_page_says_what_is_proved_and_refuted() -> None:
+def test_the_page_states_what_is_proved_and_refuted() -> None:
     chain = load("pendulum")
     good = proof_page(chain, prove(chain, trials=1))
     assert good.startswith("pendulum, 1 joints: for all poses")

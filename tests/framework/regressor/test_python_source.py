@@ -37,7 +37,7 @@ def test_the_module_computes_pinocchios_regressor_for_many_motions_at_once(name:
     assert made["VALUES"][0] == pytest.approx(chain.model.inertias[1].mass)
 
 
-def test_values_and_base_columns_carry_the_torque() -> None:
+def test_values_and_base_columns_give_the_torque() -> None:
     chain = load("arm2")
     made = module(python_source(chain, base=True))
     motion = np.random.default_rng(1).uniform(-2, 2, (4, 2))
@@ -79,7 +79,7 @@ def test_the_file_imports_numpy_alone_and_runs_by_itself(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("options", [{}, {"base": True}, {"kinematic": True}, {"friction": ("viscous",)}])
-def test_the_self_test_sees_a_changed_number(options: dict[str, Any]) -> None:
+def test_the_self_test_detects_a_changed_number(options: dict[str, Any]) -> None:
     chain = load("arm2")
     source = python_source(chain, **options)
     own = {key: value for key, value in options.items() if key != "kinematic"}
@@ -87,7 +87,7 @@ def test_the_self_test_sees_a_changed_number(options: dict[str, Any]) -> None:
     assert python_difference(chain, source.replace("0.45", "0.46"), **own) > 1e-4
 
 
-def test_c_of_the_kinematic_regressor_says_what_it_is(tmp_path: Path) -> None:
+def test_c_of_the_kinematic_regressor_states_what_it_is(tmp_path: Path) -> None:
     names = export_c(load("arm2"), tmp_path / "k.c", kinematic=True)
     text = (tmp_path / "k.c").read_text()
     assert names[3] == "p_x2"

@@ -167,7 +167,7 @@ def test_friction_and_base_columns_are_those_requested() -> None:
     assert r"Y_d[2, D_{2}] &= \varphi(\dot q_{\mathrm r2})" in latex(written)
 
 
-def test_the_latex_is_well_formed_and_says_what_is_left_out() -> None:
+def test_the_latex_is_well_formed_and_states_what_is_left_out() -> None:
     text = latex(write_out(load("ur10", **UR10)))
     lines = [line for line in text.splitlines() if not line.startswith("%")]
     for line in "\n".join(lines).replace("&", "").split(r"\\"):
@@ -209,7 +209,7 @@ def test_folding_keeps_the_value_of_any_sum_of_waves() -> None:
         assert found == pytest.approx(float(expected), abs=1e-12)
 
 
-def test_expansion_refuses_what_is_no_polynomial() -> None:
+def test_expansion_refuses_what_is_not_a_polynomial() -> None:
     x = ca.SX.sym("x")
     with pytest.raises(ValueFault, match="f: expected sums and products of symbols, sines and cosines, found CasADi's"):
         expand(ca.Function("f", [x], [ca.tanh(x)]), [[Polynomial.symbol("x")]])

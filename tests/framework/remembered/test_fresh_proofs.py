@@ -106,7 +106,7 @@ def test_what_a_run_concludes_is_recalled_until_an_input_changes(tmp_path: Path)
     assert place.run() == (found, True)
 
 
-def test_each_kind_of_change_is_proved_anew(tmp_path: Path) -> None:
+def test_each_kind_of_change_is_proved_again(tmp_path: Path) -> None:
     place = Place(tmp_path)
     first = place.verify()
     assert not first["remembered"]

@@ -134,7 +134,7 @@ def test_what_cannot_be_recorded_is_not_kept(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
-def test_what_a_copy_would_read_unseen_is_read_and_recorded_here(
+def test_what_a_forked_process_reads_is_recorded(
     begun: recorder.Recorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def read() -> tuple[int, str]:
@@ -144,14 +144,28 @@ def test_what_a_copy_would_read_unseen_is_read_and_recorded_here(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     (tmp_path / "data").write_text("1")
     begun._written.clear()
-    for job, own in ((read, True), (lambda: (os.getpid(), "1"), False)):
-        with shared([job], busy=True) as finished:
-            os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # the copy has ended
-            ((process, text),) = finished()
-        assert (process == os.getpid(), text) == (own, "1")
+    with shared([read], busy=True) as finished:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # the forked process has ended
+        ((process, text),) = finished()
+    assert (process == os.getpid(), text) == (False, "1")
     entry = begun.entry()
     assert entry is not None
-    assert str(tmp_path / "data") in entry["inputs"]["content"]
+    assert unchanged(entry["inputs"])
+    (tmp_path / "data").write_text("2")
+    assert not unchanged(entry["inputs"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
+def test_a_forked_process_that_starts_a_program_leaves_nothing_to_keep(
+    begun: recorder.Recorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    with shared([lambda: run_a_program(tmp_path)], busy=True) as finished:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)
+        finished()
+    assert begun.entry() is None
+    assert "called subprocess.Popen" in begun.refused
 
 
 def test_a_file_that_changed_after_the_proof_began_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,9 +196,7 @@ def kept(place: Path, **more: object) -> dict[str, object]:
     return entry
 
 
-def test_a_kept_verdict_is_found_and_says_that_it_is_remembered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kept_verdict_is_found_and_marked_as_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DMFRAME_CACHE", str(tmp_path))
     kept(tmp_path / store.FOLDER)
     entry = found(CALL)

@@ -38,7 +38,7 @@ def test_v_along_a_run_is_the_v_of_the_textbook(proved):
     np.testing.assert_allclose(found.V, V, rtol=1e-10)
 
 
-def test_the_terms_add_up_to_v_and_bear_the_names_of_the_certificate(proved):
+def test_the_terms_add_up_to_v_and_have_the_names_of_the_certificate(proved):
     found = along(proved.verdict.claim, run_of(proved, 0.1), 0.5)
     np.testing.assert_allclose(sum(term.values for term in found.terms), found.V, rtol=1e-12)
     assert next((term.block, term.of) for term in found.terms) == ("task", "q - q_d")

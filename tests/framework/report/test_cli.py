@@ -34,7 +34,7 @@ def test_verify_refuses_a_report_of_another_kind_before_it_proves_anything(monke
     assert error == "dmframe: r.docx: expected a name that ends in .html, .md, .json, found .docx\n"
 
 
-def test_verify_writes_the_report_and_says_so(monkeypatch, capsys, tmp_path):
+def test_verify_writes_the_report_and_reports_it(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
     assert status_of(monkeypatch, "verify", "pendulum", "--set", "duration=0.1", "--report", "r.md") == 0

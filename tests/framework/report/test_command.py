@@ -8,6 +8,7 @@ import shutil
 import dmframe as dm
 from dmframe.catalogue import graphs
 from dmframe.report.command import command
+from dmframe.report.verification import Verification
 
 
 def test_a_packaged_graph_is_called_by_its_name_and_overrides_are_printed():
@@ -40,3 +41,19 @@ def test_a_baseline_is_run_together_with_its_graph_and_verified_as_a_file_of_its
     assert found == ("dmframe run theorem_3 --baseline --set servo.K_P=50", "", ("inverse",))
     verified = ("dmframe verify theorem_3_baseline.yaml", "the graph's text in theorem_3_baseline.yaml", ())
     assert command(graph, "verify") == verified
+
+
+def test_a_twin_without_a_proof_names_the_graph_next_to_it_that_has_one(tmp_path):
+    lines = graphs()["pendulum"].read_text().splitlines()
+    kept = [line for line in lines if not line.strip().startswith(("model:", "dynamics:", "inverse:"))]
+    twin, adaptive = tmp_path / "twin.yaml", tmp_path / "adaptive.yaml"
+    twin.write_text("\n".join([*kept, "  inverse:  {type: kinematic_command}"]) + "\n")
+    assert "adaptive" not in str(Verification(dm.load(twin), dm.load(twin).verdict()))
+    shutil.copy(graphs()["pendulum"], adaptive)
+    graph = dm.load(twin)
+    text = str(Verification(graph, graph.verdict()))
+    assert "twin: not applicable" in text
+    assert f"dmframe verify {adaptive}" in text
+    adaptive.write_text(adaptive.read_text().replace("robot: pendulum", "robot: arm2"))
+    assert "adaptive" not in str(Verification(graph, graph.verdict()))
+    assert "dmframe verify" not in str(Verification(dm.load("pendulum"), dm.load("pendulum").verdict()))

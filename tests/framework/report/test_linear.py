@@ -38,7 +38,7 @@ def test_a_bracket_is_parsed_as_a_reader_parses_it(stable, unstable, text):
     assert _bracket(Bracket(stable, unstable, "")) == text
 
 
-def test_a_loop_without_a_linear_analysis_says_why(proved, monkeypatch):
+def test_a_loop_without_a_linear_analysis_gives_the_reason(proved, monkeypatch):
     def refuse(*_, **__):
         raise EngineError("no equilibrium")
 

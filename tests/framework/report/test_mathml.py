@@ -27,7 +27,7 @@ def test_a_long_term_is_cut_inside_its_brackets_too():
     assert "".join(terms(latex)).replace(" ", "") == latex.replace(" ", "")
 
 
-def test_the_pieces_of_a_formula_hold_all_that_it_says():
+def test_the_pieces_of_a_formula_hold_all_that_it_states():
     latex = r"S = \tfrac12 |e|^2_{K K_I} - \dot{\hat a}_d \ge \sum_i w_i"
     assert text_of(breakable(latex)) == text_of(mathml(latex))
 

@@ -11,7 +11,7 @@ from dmframe.report.measured import measure
 from dmframe.simulate import Divergence
 
 
-def test_a_graph_that_cannot_be_simulated_says_why(proved, monkeypatch):
+def test_a_graph_that_cannot_be_simulated_gives_the_reason(proved, monkeypatch):
     def refuse(*_, **__):
         raise StartError("start: out of reach")
 

@@ -94,7 +94,7 @@ def test_no_formula_is_left_unset(pages, name):
         ("silent", "Not proved, and not refuted: this graph has no certificate to test: inverse: a "),
     ],
 )
-def test_the_verdict_stands_first_in_one_sentence(pages, texts, name, headline):
+def test_the_verdict_comes_first_in_one_sentence(pages, texts, name, headline):
     assert words(pages[name]).count(headline) == 1
     assert f"> **{headline.split(':')[0]}**" in texts[name]
 
@@ -152,7 +152,7 @@ def test_a_failing_condition_is_marked_and_no_kappa_is_made_up(pages):
     assert "suffices" not in words(pages["failing"])
 
 
-def test_what_a_block_says_is_text_and_not_markup(pages):
+def test_what_a_block_states_is_text_and_not_markup(pages):
     assert "x &lt; y &amp; z" in pages["refuted"]
 
 
@@ -207,7 +207,7 @@ def test_a_report_is_written_by_its_ending(silent, tmp_path, gathered, ending):
     assert [path.name for path in tmp_path.iterdir()] == [f"r.{ending}"]
 
 
-def test_a_report_says_how_it_came_about(proved, silent, tmp_path, gathered):
+def test_a_report_states_how_it_came_about(proved, silent, tmp_path, gathered):
     write_report(tmp_path / "r.md", [replace(proved, seed=3), replace(silent, seed=3)])
     file = silent.graph.document.name
     words = ["dmframe", "verify", "arm2_joint", file, "--set", "arm2_joint:duration=0.2"]

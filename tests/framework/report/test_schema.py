@@ -44,7 +44,7 @@ def test_every_kind_of_verdict_is_valid_alone_and_in_a_list(contents, name):
         lambda data: data["time"].pop("check"),
     ],
 )
-def test_what_no_verdict_says_is_not_valid(contents, change):
+def test_what_no_verdict_states_is_not_valid(contents, change):
     data = copy.deepcopy(dict(contents["proved"].summary))
     change(data)
     assert not VALIDATOR.is_valid(data)

@@ -52,7 +52,7 @@ def test_the_legend_names_each_symbol_of_the_weights(proved):
     ("values", "expected"),
     [([2.0, 2.0], "2"), ([1.0, 2.5], "1, 2.5"), (np.arange(6.0), "6 values from 0 to 5"), ([], "none")],
 )
-def test_numbers_are_shown_as_a_table_bears_them(values, expected):
+def test_numbers_are_shown_as_a_table_shows_them(values, expected):
     assert shown(np.array(values)) == expected
 
 

@@ -25,7 +25,7 @@ def test_every_variable_and_the_time_have_units_and_a_long_name(ur10, pendulum, 
         assert data.time.attrs["units"] == "s"
 
 
-def test_dimensions_bear_the_names_of_joints_axes_and_parameters(ur10):
+def test_dimensions_have_the_names_of_joints_axes_and_parameters(ur10):
     data = dataset(ur10.recording)
     assert data["arm.q"].dims == ("time", "joint")
     assert list(data.joint.values) == ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
@@ -41,7 +41,7 @@ def test_dimensions_bear_the_names_of_joints_axes_and_parameters(ur10):
     [("all", 12, "shoulder_pan_joint x", "tool z"), ("links", 9, "shoulder_pan_joint x", "elbow_joint z"),
      ("tool", 3, "tool x", "tool z")],
 )  # fmt: skip
-def test_adapted_translations_bear_the_names_of_what_they_place(adapt, count, first, last):
+def test_adapted_translations_have_the_names_of_what_they_place(adapt, count, first, last):
     diagram = Graph.read("theorem_3", [f"geometry.adapt={adapt}"]).diagram
     labels = element_labels(diagram, "h", count)
     assert (len(labels), labels[0], labels[-1]) == (count, first, last)
@@ -63,7 +63,7 @@ def test_a_link_of_a_robot_of_one_joint_is_not_taken_for_its_tool():
         ("pendulum", ["model.friction=[]"], 10, {"I_xx1": "kg m^2"}),
     ],
 )
-def test_dynamic_parameters_bear_names_and_units_whatever_the_regressor_holds(graph, overrides, count, named):
+def test_dynamic_parameters_have_names_and_units_whatever_the_regressor_holds(graph, overrides, count, named):
     found = elements(Graph.read(graph, overrides).diagram, "p", count)
     assert len({element.name for element in found}) == count
     assert named.items() <= {element.name: element.unit for element in found}.items()
@@ -108,7 +108,7 @@ def test_values_are_those_of_the_run(ur10):
         assert np.array_equal(data[label].values, ur10.recording[label])
 
 
-def test_attributes_say_where_the_data_come_from(ur10):
+def test_attributes_state_where_the_data_come_from(ur10):
     attributes = dataset(ur10.recording, ur10.graph.set(seed=3)).attrs
     assert attributes["graph"] == "ur10_fast"
     assert attributes["title"] == ur10.graph.file.title

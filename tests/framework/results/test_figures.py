@@ -118,7 +118,7 @@ def test_of_many_parameters_those_that_move_most_are_named(ur10):
     assert texts[-1] == f"{int(np.sum(moves > 0)) - 7} more"
 
 
-def test_an_estimate_of_mixed_units_says_each_ones_own(make_result):
+def test_an_estimate_of_mixed_units_states_each_ones_own(make_result):
     run = make_result("torque_indirect_pi", 0.02).recording
     panel = estimate_figure("torque", run).axes[0]
     texts = [text.get_text() for text in panel.get_legend().get_texts()]
@@ -129,7 +129,7 @@ def test_an_estimate_of_mixed_units_says_each_ones_own(make_result):
     assert signal_figure({"torque": run}, ["adaptation.a_d_hat"]).axes[0].get_ylabel() == "adaptation.a_d_hat"
 
 
-def test_an_estimate_of_one_unit_says_it_at_the_axis(ur10):
+def test_an_estimate_of_one_unit_states_it_at_the_axis(ur10):
     panel = signal_figure({"ur10": ur10.recording}, ["inverse.w"]).axes[0]
     assert panel.get_ylabel() == "inverse.w\n[rad/(N m s)]"
     assert [text.get_text() for text in panel.get_legend().get_texts()] == ["shoulder pan", "shoulder lift", "elbow"]
@@ -141,7 +141,7 @@ def test_the_path_is_drawn_in_the_plane_in_which_it_is_widest(ur10):
     assert axes.get_aspect() == 1.0
 
 
-def test_the_way_to_a_goal_that_stands_still_is_shown_whole(ur10):
+def test_the_way_to_a_constant_goal_is_shown_whole(ur10):
     outputs = dict(ur10.recording.outputs)
     outputs["path.x_d"] = np.tile([0.2, 0.6, 0.5], (ur10.recording.time.size, 1))
     (axes,) = path_figure({"ur10": replace(ur10.recording, outputs=outputs)}).axes
@@ -263,7 +263,7 @@ def test_v_is_drawn_as_the_proof_states_it_with_its_largest_terms(arm2):
     assert {text.get_text() for text in below.get_legend().get_texts()} == {*names, "σ (arm)", "q − q_d (task)"}
 
 
-def test_a_figure_of_v_says_how_many_of_its_terms_it_leaves_out(arm2, monkeypatch):
+def test_a_figure_of_v_states_how_many_of_its_terms_it_leaves_out(arm2, monkeypatch):
     assert storage_figure("arm2", arm2).axes[1].get_ylabel() == "terms of $V$"
     monkeypatch.setattr("dmframe.results.storage_figure.CURVES", 4)
     below = storage_figure("arm2", arm2).axes[1]

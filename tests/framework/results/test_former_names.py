@@ -10,7 +10,7 @@ from dmframe.results.climb import climb_of
 from dmframe.results.reported import ReportedEstimate
 
 
-def test_felt_is_the_excitation_with_a_warning() -> None:
+def test_the_former_name_of_excitation_gives_a_warning() -> None:
     estimate = ReportedEstimate("payload.mass", "mass", "kg", (1.5,), (2.0,))
     with pytest.warns(DeprecationWarning, match="felt is now excitation"):
         assert estimate.felt == (2.0,)

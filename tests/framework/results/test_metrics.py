@@ -38,7 +38,7 @@ def test_an_instant_that_opens_an_eighth_is_not_counted_before_it():
     assert rms_by_eighth(times, norm, 2.4) == tuple(map(float, range(8)))
 
 
-def test_the_mean_of_what_is_no_number_is_none() -> None:
+def test_the_mean_of_what_is_not_a_number_is_none() -> None:
     times = np.arange(16) / 2
     for bad in (np.nan, np.inf):
         found = rms_by_eighth(times, np.where(times == 2.5, bad, 1.0), 8.0)

@@ -102,7 +102,7 @@ def test_v_is_in_the_files_of_a_run(sampled: dm.Run, tmp_path: Path) -> None:
         assert "V.dynamics" in signals
 
 
-def test_a_graph_without_v_says_why() -> None:
+def test_a_graph_without_v_gives_the_reason() -> None:
     run, reason = dm.load("ur10_fast_kinematic").run("1 s"), "a kinematic_command has no certificate"
     with pytest.raises(DmframeError, match=r"run\['V'\]: expected a graph with a certificate, found none: .*" + reason):
         run["V"]

@@ -20,7 +20,7 @@ def test_v_has_the_unit_of_the_cascade_or_of_an_energy(graph: str, unit: str, ra
     assert base_units(found.parts["arm"]) == base_units("J")  # a kinetic energy, by hand
 
 
-def test_v_that_adds_an_energy_and_a_squared_frequency_has_no_unit_and_says_so() -> None:
+def test_v_that_adds_an_energy_and_a_squared_frequency_has_no_unit_and_reports_it() -> None:
     found = storage_unit(claim_of(dm.load("torque_direct_pi").diagram))
     assert (found.unit, found.rate, found.several) == ("", "", ("1/s^2", "N m"))
     assert found.about == "its terms are in 1/s^2 and N m, each counted in SI's units"

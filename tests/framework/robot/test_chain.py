@@ -166,11 +166,11 @@ def test_broken_xml_is_reported_with_line_and_column(urdf):
         ),
     ],
 )
-def test_a_file_that_is_no_urdf_says_so(urdf, text, reason):
+def test_a_file_that_is_not_a_urdf_is_reported(urdf, text, reason):
     check(fault(urdf(text=text)), RobotError, f"robot arm.urdf: {reason}", "model")
 
 
-def test_a_file_that_is_no_text_says_so(tmp_path):
+def test_a_file_that_is_not_text_is_reported(tmp_path):
     file = tmp_path / "arm.urdf"
     file.write_bytes(b"\xff\xfe\x00<robot/>")
     assert str(fault(file)).startswith("robot arm.urdf: expected a readable URDF file in UTF-8: ")
@@ -259,7 +259,7 @@ def test_free_joints_that_branch_name_the_fork(fork):
     )
 
 
-def test_free_joints_that_branch_at_the_base_say_so(fork):
+def test_free_joints_that_branch_at_the_base_are_reported(fork):
     error = fault(fork, free=["left", "right"])
     assert "at the base it branches into left and right" in str(error)
 

@@ -233,7 +233,7 @@ def test_an_mjcf_file_has_the_mass_matrix_and_the_bias_of_mujoco(mjcf, tmp_path)
         ),
     ],
 )
-def test_what_is_no_robot_is_refused(tmp_path, text, reason):
+def test_what_is_not_a_robot_is_refused(tmp_path, text, reason):
     path = tmp_path / "a.xml"
     path.write_text(text)
     with pytest.raises(RobotError) as caught:

@@ -194,5 +194,5 @@ def test_rates_of_joints_have_the_unit_of_each_joint_and_other_quantities_one() 
     assert joint_quantity("3 cm/s", "rad/s") == pytest.approx(0.03)
     with pytest.raises(DmframeError, match="expected a quantity in 1/s"):
         block_types()["null_space_posture"](K_null="1 m", q_0=0.0)
-    with pytest.raises(DmframeError, match=r"q_d: expected a quantity in rad for a joint that turns; found 0\.1 m"):
+    with pytest.raises(DmframeError, match=r"q_d: expected a quantity in rad for a revolute joint; found 0\.1 m"):
         Diagram.build({"posture": block_types()["setpoint"](q_d=["10 cm"])})

@@ -102,7 +102,7 @@ def test_what_the_model_does_not_state_has_no_value(chain: SerialChain) -> None:
     assert known["mc_gy1"] == known["mc_y1"]
 
 
-def test_parts_stand_one_after_another_and_each_name_once(chain: SerialChain) -> None:
+def test_parts_follow_one_another_and_each_name_once(chain: SerialChain) -> None:
     a_d = whole(chain)
     assert a_d.parts == PARTS
     assert [a_d.names[a_d.places(part)][0] for part in PARTS] == ["m_1", "m_g1", "B_1", "D_1", "tau_bias1"]

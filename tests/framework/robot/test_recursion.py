@@ -48,7 +48,7 @@ def test_the_expressions_are_those_of_the_recursion(name: str, share: Any) -> No
     assert len(recursion._TRACED) == len(arguments(2)) - 2  # expressions have the zeros of all; some constants, none
 
 
-def test_other_zeros_and_constants_are_stated_anew() -> None:
+def test_other_zeros_and_constants_are_stated_again() -> None:
     robot, n = SymbolicRobot(load("arm2")), 2
     q, dq, zero = ca.SX.sym("q", n), ca.SX.sym("dq", n), ca.SX(n, 1)
     still = robot.inverse_dynamics(q, dq, zero, zero)

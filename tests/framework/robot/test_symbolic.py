@@ -293,7 +293,7 @@ def test_the_tools_rotation_is_exactly_orthogonal_and_turns_by_the_angular_jacob
     assert not identically_zero(robot, ca.jtimes(R, q, dq) + ca.skew(omega) @ R, q, dq), "the body's axes"
 
 
-def test_the_tools_rotation_moves_by_a_small_turn_as_pinocchios_logarithm_says():
+def test_the_tools_rotation_moves_by_a_small_turn_as_in_pinocchios_logarithm():
     chain, step = load("panda"), 1e-6
     robot = SymbolicRobot(chain)
     q, dq = points(chain.n, 7, 2)
@@ -359,7 +359,7 @@ def test_coulomb_friction_is_a_smooth_sign_with_the_stated_velocity():
     close(evaluate(robot, lambda _q, dq: robot.coulomb(dq), dq, dq), np.tanh(dq / 0.02), 1e-14)
 
 
-def test_constants_carry_their_names_units_and_rational_values():
+def test_constants_have_their_names_units_and_rational_values():
     robot = SymbolicRobot(load("ur10"), prefix="model")
     units = {c.name: c.unit for c in robot.constants}
     assert units == {

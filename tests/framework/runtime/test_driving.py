@@ -96,7 +96,7 @@ def test_it_stops_at_the_next_sample_after_a_request() -> None:
     assert len(robot.calls) == 7 + 3
 
 
-def test_a_clock_that_stands_is_read_again_and_then_lost() -> None:
+def test_a_stopped_clock_is_read_again_and_then_lost() -> None:
     samples = standing(21)
     found, robot = ended([*samples[:4], *[samples[3]] * 3, *samples[4:]])
     assert found.stop is None
@@ -193,7 +193,7 @@ def test_a_slowed_robot_goes_the_same_path_as_much_more_slowly() -> None:
     assert missed(ignorant) > 2 * missed(half)
 
 
-def test_its_controller_sees_velocities_and_periods_of_its_own_time() -> None:
+def test_its_controller_reads_velocities_and_periods_of_its_own_time() -> None:
     moving = [replace(sample, dq=np.full(3, 0.05), scaling=0.5) for sample in standing(3)]
     found, _ = ended(moving, ticks=1)
     controller = graph().controller(engine="interpreted")
@@ -209,7 +209,7 @@ def test_its_controller_sees_velocities_and_periods_of_its_own_time() -> None:
         np.testing.assert_array_equal(found.journal[f"state:{label}"][1], values)
 
 
-def test_a_robot_that_stands_still_is_waited_for() -> None:
+def test_a_robot_at_rest_is_waited_for() -> None:
     samples = [replace(sample, scaling=0.0 if 5 <= k < 15 else 1.0) for k, sample in enumerate(standing(40))]
     found, robot = ended(samples)
     assert found.stop is None
@@ -286,7 +286,7 @@ def test_a_drive_does_not_begin_beyond_a_limit(start: np.ndarray | None) -> None
     assert robot.calls == ["connect", ("stop", 20.0), "close"]
 
 
-def test_a_clock_that_goes_on_after_it_stood_has_lost_nothing() -> None:
+def test_a_clock_that_continues_after_a_stop_has_lost_nothing() -> None:
     samples = standing(21)
     twice = [sample for sample in samples[:20] for _ in range(2)]
     found, robot = ended([*twice, samples[20]])  # each sample twice

@@ -145,7 +145,7 @@ def test_a_joint_beyond_its_limit_may_only_come_back() -> None:
     assert sent([-0.5, 0.5], gate)[0].tolist() == [-0.5, 0.5]
 
 
-def test_too_many_cuts_in_a_row_stop_and_one_that_passes_begins_anew() -> None:
+def test_too_many_cuts_in_a_row_stop_and_one_that_passes_begins_again() -> None:
     gate = Gate(free(), T)
     for _ in range(MOST_CUTS - 1):
         assert sent([1.5, 0], gate)[1] == ""
@@ -155,5 +155,5 @@ def test_too_many_cuts_in_a_row_stop_and_one_that_passes_begins_anew() -> None:
     assert stops[-1] == f"cuts: {MOST_CUTS} commands in a row were limited, the last one by speed"
 
 
-def test_the_gate_says_of_itself_that_it_is_no_safety_function() -> None:
+def test_the_gate_states_of_itself_that_it_is_not_a_safety_function() -> None:
     assert "not a safety function" in (gates.__doc__ or "")

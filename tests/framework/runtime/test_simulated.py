@@ -118,7 +118,7 @@ def test_graphs_that_command_something_else_are_refused(name: str, text: str) ->
     assert text in str(raised.value)
 
 
-def test_on_its_way_to_a_pose_it_stops_where_what_watches_says_so() -> None:
+def test_on_its_way_to_a_pose_it_stops_where_what_watches_reports_it() -> None:
     robot = simulated(dm.load("ur10_fast"))
     first, seen = robot.read(), list[Sample]()
     robot.move(first.q + 1.0, 0.25, 1.0, lambda sample: seen.append(sample) is None and len(seen) == 100)

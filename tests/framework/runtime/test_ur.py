@@ -139,7 +139,7 @@ def driver(arm: Arm) -> UniversalRobot:
     return made
 
 
-def test_a_drive_follows_stops_and_lets_go() -> None:
+def test_a_drive_follows_stops_and_releases_control() -> None:
     arm, graph = Arm(), fast()
     found = driven(graph, driver(arm), 50, ramp=0.1)
     assert found.stop is None
@@ -335,7 +335,7 @@ def test_samples_out_of_order_count_none_as_lost_that_came() -> None:
     assert missed == [0, 1, 0, 0, 0]
 
 
-def test_on_its_way_it_ends_where_what_watches_says_so() -> None:
+def test_on_its_way_it_ends_where_what_watches_reports_it() -> None:
     arm, seen = Arm(), list[Any]()
     arm.values["target_q"] = arm.values["actual_q"] = Q + 0.1
     at = driver(arm)

@@ -145,7 +145,7 @@ def velocities(arm: Arm) -> list[Any]:
     return [row for row in arm.calls if row[0] == "velocity"]
 
 
-def test_a_drive_follows_stops_and_lets_go(graph: dm.Graph) -> None:
+def test_a_drive_follows_stops_and_releases_control(graph: dm.Graph) -> None:
     arm = Arm()
     found = driven(graph, driver(graph, arm), 100, ramp=0.1)
     assert found.stop is None
@@ -265,7 +265,7 @@ def test_in_shadow_nothing_is_reported_to_it(graph: dm.Graph) -> None:
     assert arm.closed == 2
 
 
-def test_what_is_no_report_is_reported(graph: dm.Graph) -> None:
+def test_what_is_not_a_report_is_reported(graph: dm.Graph) -> None:
     arm = Arm()
     robot = driver(graph, arm)
     robot.connect()
@@ -303,7 +303,7 @@ def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
         xarm.opened("192.0.2.1")
 
 
-def test_the_test_double_has_the_calls_of_the_makers_package() -> None:
+def test_the_test_double_has_the_calls_of_the_manufacturers_package() -> None:
     wrapper = pytest.importorskip("xarm.wrapper", reason="xarm-python-sdk is not installed")
     for name in ("motion_enable", "set_mode", "set_state", "set_servo_angle", "vc_set_joint_velocity"):
         theirs, mine = (inspect.signature(getattr(owner, name)).parameters for owner in (wrapper.XArmAPI, Arm))
@@ -315,7 +315,7 @@ def test_the_test_double_has_the_calls_of_the_makers_package() -> None:
         assert isinstance(getattr(wrapper.XArmAPI, name), property)
 
 
-def test_a_report_is_read_as_the_makers_package_reads_it() -> None:
+def test_a_report_is_read_as_the_manufacturers_package_reads_it() -> None:
     reader = pytest.importorskip("xarm.x3.report", reason="xarm-python-sdk is not installed")
     random = np.random.default_rng(3)
     numbers = random.uniform(-3, 3, (3, 7))

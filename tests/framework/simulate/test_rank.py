@@ -108,7 +108,7 @@ def test_an_arm_that_swings_through_its_stretched_pose_is_reported_as_its_closed
     ]
 
 
-def test_a_run_that_begins_at_rank_loss_diverges_and_says_why(tmp_path: Path) -> None:
+def test_a_run_that_begins_at_rank_loss_diverges_and_gives_the_reason(tmp_path: Path) -> None:
     done = run(graph(tmp_path, "{type: circle, center: [0.5, 0.2], radius: 0.1, rate: 1}", "[0, 0]"), 1.0)
     assert done.divergence is not None
     assert done.ranks[0].smallest == pytest.approx(0, abs=1e-12)

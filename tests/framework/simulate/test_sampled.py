@@ -97,7 +97,7 @@ ENGINES = ("interpreted", "compiled")
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_sampled_law_and_a_delay_in_the_plant_move_as_python_control_says(engine: Any) -> None:
+def test_a_sampled_law_and_a_delay_in_the_plant_move_as_in_python_control(engine: Any) -> None:
     import control
 
     run = simulate(loop(), 2.0, clock=T, solver=Solver(step=T / 10), engine=engine)
@@ -231,8 +231,11 @@ class Differentiating(AbstractBlock):
 @pytest.mark.parametrize(
     ("law", "text"),
     [
-        (Wrong, "law: equations state the rate of i, a sampled state; state its next value, or declare it without"),
-        (WrongToo, "law: equations state the next value of i, a state in continuous time; state its rate, or"),
+        (
+            Wrong,
+            "law: equations state the rate of i, which is a sampled state; state its next value, or declare it without",
+        ),
+        (WrongToo, "law: equations state the next value of i, which is a continuous state; state its rate, or"),
         (Drawing, "law: the input n is drawn from norml, unknown; did you mean normal?"),
         (Restless, "law: equations() state another next value of z when evaluated again"),
     ],
@@ -246,7 +249,7 @@ def test_a_blocks_source_of_time_is_checked_against_its_declaration(law: Any, te
 def test_a_jump_has_no_derivative() -> None:
     with pytest.raises(DmframeError) as caught:
         Diagram.build({"law": SampledPi(), "delay": Delay(), "cart": Differentiating(), "sensor": Sensor()})
-    assert "cart.dv_late is a time derivative of what moves with delay.late, which jumps from sample to" in str(
+    assert "cart.dv_late is a time derivative of a signal that depends on delay.late, which is piecewise" in str(
         caught.value
     )
 
@@ -296,7 +299,7 @@ class Exact(AbstractBlock):
         return Equations(outputs={"y_m": u.y})
 
 
-def test_proofs_and_analyses_in_continuous_time_say_that_they_do_not_reach_it() -> None:
+def test_proofs_and_analyses_in_continuous_time_state_that_they_do_not_reach_it() -> None:
     verdict = verify(loop())
     assert verdict.outcome == "not_applicable"
     assert "law.i is a sampled state; a proof in continuous time does not reach it" in verdict.reason
@@ -341,7 +344,7 @@ def test_a_controller_that_draws_is_refused() -> None:
         Controller(loop(Probing()), T)
 
 
-def test_the_fingerprint_knows_a_sampled_state_from_one_in_continuous_time() -> None:
+def test_the_fingerprint_distinguishes_a_sampled_state_from_one_in_continuous_time() -> None:
     class Holding(AbstractBlock):
         inputs = (Input("y_m"),)
         outputs = (Output("v", access=Access.COMMANDED),)

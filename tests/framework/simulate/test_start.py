@@ -59,7 +59,7 @@ def begin(folder: Path, *changes: tuple[str, str], **given: Any) -> dict[str, np
 
 
 @pytest.mark.parametrize("servo", [PID[0], PID[1]], ids=["pi", "pid"])
-def test_a_robot_whose_reference_stands_still_does_not_move(servo: str, tmp_path: Path) -> None:
+def test_a_robot_whose_reference_is_constant_does_not_move(servo: str, tmp_path: Path) -> None:
     made = graph(tmp_path, (PID[0], servo))
     run = simulate(made.diagram, 2.0, clock=0.004)
     np.testing.assert_allclose(run["arm.q"], np.tile([0.6, 0.9], (run.time.size, 1)), atol=1e-12)
@@ -88,7 +88,7 @@ def test_a_task_starts_on_its_path_in_the_branch_that_is_near(tmp_path: Path) ->
     assert up[1] > 0 > down[1]
 
 
-def test_given_values_win_over_the_path_and_over_the_blocks_own(tmp_path: Path) -> None:
+def test_given_values_have_precedence_over_the_path_and_over_the_blocks_own(tmp_path: Path) -> None:
     found = begin(tmp_path, q=[0.1, 0.2], dq=0.3, **{"servo.i": [1, 2]})
     np.testing.assert_array_equal(found["arm.q"], [0.1, 0.2])
     np.testing.assert_array_equal(found["arm.dq"], [0.3, 0.3])

@@ -33,4 +33,5 @@ def test_a_bad_study_is_refused_with_the_place_and_the_remedy_of_each_fault(
 def test_a_graph_in_place_of_a_study_is_one_fault(arm: Path) -> None:
     with pytest.raises(DmframeError) as caught:
         load_study(arm)
-    assert str(caught.value) == f"{arm}: expected a study, found a graph; write a study with the key graph: {arm.name}"
+    text = "expected a study, found a graph without a section uncertain; write a study with the key graph"
+    assert str(caught.value) == f"{arm}: {text}: {arm.name}"

@@ -84,7 +84,7 @@ def test_workers_client_and_scheduler_are_killed_one_after_another(
     check(out)
 
 
-def test_where_no_scheduler_is_one_sentence_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_no_scheduler_is_one_sentence_reports_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", 0.2)
     state = run_study(FakeStudy(), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     assert state.lost.startswith("--scheduler tcp://127.0.0.1:9: no scheduler answers there")

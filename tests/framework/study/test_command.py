@@ -160,7 +160,7 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     assert polars.read_parquet(kept).equals(frame)
 
 
-def test_a_study_whose_row_is_another_in_anything_that_is_measured_says_so(
+def test_a_study_whose_row_is_another_in_anything_that_is_measured_is_reported(
     tmp_path: Path, finish: Callable[..., State], dmframe: Dmframe
 ) -> None:
     import polars
@@ -271,7 +271,7 @@ def test_what_is_packed_is_what_is_unpacked(tmp_path: Path) -> None:
         (["report", "one", "two"], "expected one file, found 2"),
     ],
 )
-def test_a_report_of_nothing_says_so(words: list[str], said: str, tmp_path: Path, dmframe: Dmframe) -> None:
+def test_an_empty_report_states_this(words: list[str], said: str, tmp_path: Path, dmframe: Dmframe) -> None:
     status, out, err = dmframe(*words)
     assert (status, out) == (2, "")
     assert said in err

@@ -15,8 +15,11 @@ from dmframe.batch.columns import joined
 from dmframe.common.errors import DmframeError
 from dmframe.graph.load import load
 from dmframe.results.metrics import tracking_error
+from dmframe.study.box import box_of
 from dmframe.study.grammar import study_schema
+from dmframe.study.packing import folder_files
 from dmframe.study.plan import Study
+from dmframe.study.read import load_study
 
 Make = Callable[..., Study]
 
@@ -236,3 +239,50 @@ def test_a_signal_that_no_closed_loop_has_is_refused_with_a_grid_too(study: Make
 def test_a_signal_that_one_of_the_closed_loops_has_is_measured_there(study: Make) -> None:
     cases = "known: {blocks.dynamics: {type: dynamic_compensator, Gamma: 1}}, other: {dynamics.Gamma: 2}"
     study(f"grid: {{dynamics: {{{cases}}}}}\nmeasure: {{signals: [dynamics.tau_dc]}}\n").check()
+
+
+UNCERTAIN = "uncertain: {servo.K_P: [[50, 30], [70, 31]], servo.K_I: [200, 300], arm.viscous: [[1, 0.4], [1, 0.6]]}\n"
+
+
+def test_a_study_that_names_nothing_draws_what_the_graph_leaves_uncertain(study: Make, arm: Path) -> None:
+    arm.write_text(arm.read_text().replace("K_I: [240, 120]", "K_I: [240, 220]") + UNCERTAIN)
+    found = study("set: {arm.viscous: [1, 0.45]}\nsample: {runs: 400, seed: 2}\n")
+    assert [column.name for column in found.varied] == [
+        f"{label}[{k}]" for label in ("servo.K_P", "servo.K_I") for k in (0, 1)
+    ]
+    drawn = found.drawn(0, 400)
+    ends = {"servo.K_P[0]": (50, 70), "servo.K_P[1]": (30, 31), "servo.K_I[0]": (200, 300), "servo.K_I[1]": (200, 300)}
+    for name, (low, high) in ends.items():
+        assert low <= drawn[name].min() < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < drawn[name].max() <= high
+    assert abs(np.corrcoef(drawn["servo.K_I[0]"], drawn["servo.K_I[1]"])[0, 1]) < 0.2
+    box = box_of(found.points[0].graph.diagram, found.factors)
+    assert {label: [end.tolist() for end in pair] for label, pair in box.ends.items()} == {
+        "servo.K_P": [[50, 30], [70, 31]],
+        "servo.K_I": [[200, 200], [300, 300]],
+    }
+    arm.with_name("kept.yaml").write_text(found.text)  # as in a folder of results
+    assert load_study(arm.with_name("kept.yaml")).key == found.key
+    other = study("sample: {runs: 400, seed: 2, servo.K_P: {scale: [0.9, 1.1]}}\n")
+    assert [column.name for column in other.varied] == ["servo.K_P"]
+
+
+def test_what_the_study_sets_itself_is_not_drawn(study: Make, arm: Path) -> None:
+    arm.write_text(arm.read_text().replace("K_I: [240, 120]", "K_I: [240, 220]") + UNCERTAIN)
+    found = study("set: {servo.K_P: [60, 30.5]}\nsample: {runs: 3}\ngrid: {servo.K_I: [210, 220]}\n")
+    assert [column.name for column in found.varied] == ["servo.K_I", "arm.viscous[0]", "arm.viscous[1]"]
+    assert np.all(found.drawn(0, 3)["arm.viscous[0]"] == 1)
+    assert np.allclose(found.graph_of(3).blocks["servo"].K_P, [60, 30.5])
+
+
+def test_a_graph_with_intervals_is_a_study_of_them(arm: Path, tmp_path: Path) -> None:
+    arm.write_text(arm.read_text() + "uncertain: {servo.K_P: [[50, 30], [70, 31]]}\n")
+    found = load_study(arm, runs=5)
+    assert (found.name, found.samples, load_study(arm).samples) == ("arm", 5, 100)
+    kept = folder_files(found)
+    for name, content in kept.items():
+        (tmp_path / "kept").mkdir(exist_ok=True)
+        (tmp_path / "kept" / name).write_bytes(content)
+    again = load_study(tmp_path / "kept" / "study.yaml")
+    assert again.key == found.key
+    assert again.drawn(0, 5).keys() == {"servo.K_P[0]", "servo.K_P[1]"}

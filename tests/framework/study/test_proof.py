@@ -163,7 +163,7 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
         ("servo.K_P: {scale: [1, 2]}", "hold over the whole sampled box", False),
     ],
 )
-def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
+def test_the_answer_states_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
     found = study(sample, "arm2_joint")
     data = ReportData(
         cast(Findings, SimpleNamespace(points=found.points, results=SimpleNamespace(study=found))),
@@ -266,7 +266,7 @@ def test_the_first_line_of_a_study_is_the_verdict(
         ("known_tracking_pi", "path.radius: {uniform: [0.1, 1.4]}"),  # out of reach from some 0.57 m on
     ],
 )
-def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: str) -> None:
+def test_whatever_a_box_and_a_count_state_single_proofs_state(graph: str, sample: str) -> None:
     found = study(sample, graph, runs=6)
     (proof,) = proofs_of(found, [""])
     proved = [found.graph_of(sample).verdict().outcome == "proved" for sample in range(3)]

@@ -153,7 +153,7 @@ def test_the_dataset_has_the_grids_dimensions_and_units(folder: Callable[..., Pa
     assert ratio.values == pytest.approx(1e-3)
 
 
-def test_a_grid_that_is_no_product_has_points(folder: Callable[..., Path]) -> None:
+def test_a_grid_that_is_not_a_product_has_points(folder: Callable[..., Path]) -> None:
     grid = "grid: {case: {slow: {dynamics.Gamma: 1, duration: 1 s}, fast: {dynamics.Gamma: 9}}}\n"
     data = Results(folder(text=text_of(grid=grid))).dataset()
     assert dict(data.sizes) == {"case": 2, "sample": 200}
@@ -242,7 +242,7 @@ def test_commands_of_a_page_work_where_it_was_written(
     assert f"dmframe study report {place.name} " in words(write_report(place, proofs=False))
 
 
-def test_a_map_of_a_setting_where_none_diverged_says_so(page: Callable[..., tuple[Path, str]]) -> None:
+def test_a_map_of_a_setting_without_divergence_states_this(page: Callable[..., tuple[Path, str]]) -> None:
     place, _ = page(breaking)
     figure = figures_of(findings_of(Results(place)))["map_1"]
     texts = [[text.get_text() for text in axes.texts] for axes in figure.axes if axes.get_title()]
@@ -279,7 +279,7 @@ def test_no_interval_is_printed_where_none_is_valid(folder: Callable[..., Path],
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_page_of_single_runs_speaks_of_no_probability(folder: Callable[..., Path]) -> None:
+def test_a_page_of_single_runs_states_no_probability(folder: Callable[..., Path]) -> None:
     text = re.sub(r"sample:\n(?:  .*\n)+", "", text_of())
     place = folder(lambda *_: {"rms_final": [1e-3]}, text)
     said = words(write_report(place, proofs=False))
@@ -412,7 +412,7 @@ def test_comparisons_are_on_the_same_samples(folder: Callable[..., Path]) -> Non
     assert found.figure.ratio == pytest.approx(0.1)
 
 
-def test_a_run_that_stands_twice_is_noticed(folder: Callable[..., Path]) -> None:
+def test_a_run_that_is_listed_twice_is_noticed(folder: Callable[..., Path]) -> None:
     place = folder()
     first = sorted((place / "runs").iterdir())[0]
     (place / "runs" / "again.parquet").write_bytes(first.read_bytes())
@@ -477,7 +477,7 @@ def test_limits_are_never_rounded_to_the_side_that_makes_them_untrue() -> None:
         assert high - low < 0.011
 
 
-def test_an_interval_says_where_it_has_no_end() -> None:
+def test_an_interval_states_where_it_has_no_end() -> None:
     assert between(Quantile(0.99, 1e-3, 5e-4, math.inf), "m") == "500 µm to no upper limit"
     assert between(Quantile(0.5, math.inf, 1e-3, math.inf), "m") == "1 mm to diverged"
     assert between(Quantile(0.5, math.inf, math.inf, math.inf), "m") == ""

@@ -30,7 +30,7 @@ def test_none_of_299_is_at_most_one_percent() -> None:
 
 @pytest.mark.parametrize("p", [0.003, 0.02, 0.1, 0.4])
 @pytest.mark.parametrize("runs", [20, 150])
-def test_limits_of_a_share_hold_as_often_as_they_say(p: float, runs: int) -> None:
+def test_limits_of_a_share_hold_as_often_as_they_state(p: float, runs: int) -> None:
     weights = scipy.stats.binom.pmf(np.arange(runs + 1), runs, p)
     found = [proportion(np.arange(runs) < k, independent=True) for k in range(runs + 1)]
     assert sum(w for w, each in zip(weights, found, strict=True) if each.low <= p <= each.high) >= 0.95
@@ -64,7 +64,7 @@ def test_the_interval_of_a_quantile_is_that_of_scipy(p: float) -> None:
 
 
 @pytest.mark.parametrize(("p", "runs"), [(0.5, 9), (0.5, 60), (0.9, 60), (0.95, 200)])
-def test_the_interval_of_a_quantile_holds_as_often_as_it_says(p: float, runs: int) -> None:
+def test_the_interval_of_a_quantile_holds_as_often_as_it_states(p: float, runs: int) -> None:
     ranks = np.arange(1.0, runs + 1)  # of the values 1, 2, ...: the interval's ends are their places
     found = quantile(ranks, p, independent=True)
     lower = 0 if math.isinf(found.low or 0) else int(found.low or 0)
@@ -85,7 +85,7 @@ def test_a_run_that_diverged_counts_in_a_quantile() -> None:
     assert math.isinf(quantile(values, 0.95, independent=True).value)
 
 
-def test_a_comparison_goes_by_signs_and_knows_what_diverged() -> None:
+def test_a_comparison_goes_by_signs_and_includes_divergence() -> None:
     first = np.array([1.0, 2.0, 3.0, math.inf, math.inf, 5.0, math.nan])
     second = np.array([0.5, 1.0, 4.0, 1.0, math.inf, math.inf, 1.0])
     found = paired(first, second, independent=True)
@@ -93,7 +93,7 @@ def test_a_comparison_goes_by_signs_and_knows_what_diverged() -> None:
     assert found.p == pytest.approx(scipy.stats.binomtest(3, 5).pvalue)
 
 
-def test_a_comparison_on_the_same_samples_sees_what_two_medians_hide() -> None:
+def test_a_comparison_on_the_same_samples_shows_what_two_medians_hide() -> None:
     rng = np.random.default_rng(1)
     robots = rng.lognormal(sigma=2, size=200)
     found = paired(robots, robots * 0.98, independent=True)
@@ -147,7 +147,7 @@ def test_the_chance_of_a_share_is_that_of_kruskal_and_wallis() -> None:
     assert found.p == pytest.approx(scipy.stats.kruskal(*parts).pvalue)
 
 
-def test_no_influence_is_claimed_more_often_than_its_chance_says() -> None:
+def test_no_influence_is_claimed_more_often_than_its_chance_states() -> None:
     rng = np.random.default_rng(11)
     found = [influence("a", rng.uniform(size=200), rng.normal(size=200), independent=True) for _ in range(400)]
     assert np.mean([(each.p or 0) < 0.05 for each in found]) == pytest.approx(0.05, abs=0.03)

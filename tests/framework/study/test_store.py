@@ -110,7 +110,7 @@ def test_a_changed_study_is_refused_with_what_has_changed(out: Path) -> None:
     assert len(frame(out)) == 120
 
 
-def test_with_force_a_changed_study_begins_anew(out: Path) -> None:
+def test_with_force_a_changed_study_begins_again(out: Path) -> None:
     changed = FakeStudy(meaning="two")
     with opened(out, changed, {"study.yaml": changed.text.encode()}, force=True) as kept:
         assert kept.runs_done == 0

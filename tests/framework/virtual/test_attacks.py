@@ -254,7 +254,7 @@ def test_a_script_runs_whose_client_closes_its_connection_within_the_cycle(held:
 
 
 @pytest.mark.parametrize("host", ["a" * 70, "..", "no host", "300.1.1.1"])
-def test_an_address_that_is_none_is_reported(host: str) -> None:
+def test_an_address_that_is_invalid_is_reported(host: str) -> None:
     held = robot()
     with pytest.raises(OutputError, match="choose another --host or port"):
         held.listen(host, Ports.free())

@@ -79,7 +79,7 @@ def test_what_is_not_finite_moves_nothing() -> None:
         ("pendulum", "expected a UR"),
     ],
 )
-def test_a_robot_that_is_no_closed_ur_is_refused(name: str, text: str) -> None:
+def test_a_robot_that_is_not_a_closed_ur_is_refused(name: str, text: str) -> None:
     with pytest.raises(DmframeError, match=text):
         robot(name)
 

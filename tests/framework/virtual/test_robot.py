@@ -55,7 +55,7 @@ def test_a_controller_over_rtde_does_what_it_does_in_a_simulation() -> None:
     assert set(ages[1:]) == {1}  # what answers one sample has been echoed in the next
 
 
-def test_delays_add_up_in_what_the_client_sees() -> None:
+def test_delays_add_up_in_what_the_client_reads() -> None:
     _, ages = driven(robot(series="cb3", command_delay=1, measurement_delay=2), 60)
     assert set(ages[10:]) == {4}
 

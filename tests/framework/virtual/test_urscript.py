@@ -204,7 +204,7 @@ def test_a_fault_while_it_runs_ends_it_with_the_line(body: str, line: int, text:
         ("def test():\n  x = " + "(" * 5000 + "1" + ")" * 5000 + "\nend\n", "nested too deeply"),
     ],
 )
-def test_what_is_no_script_is_refused(script: str, text: str) -> None:
+def test_what_is_not_a_script_is_refused(script: str, text: str) -> None:
     with pytest.raises(ScriptError) as raised:
         held().load_script(script)
     assert text in str(raised.value)

@@ -1,0 +1,30 @@
+"""What a command that waits shows in a terminal: the step, and nothing elsewhere."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+import dmframe as dm
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_live_page_shows_its_steps_in_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.page.page.content_of", lambda *_: {})  # what takes seconds
+    monkeypatch.setattr("dmframe.page.page.assembled", lambda _: "a page")
+    graph = dm.load("pendulum")
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    assert graph.page(periods=False).html == "a page"
+    shown = [line.strip() for line in terminal.getvalue().split("\r")]
+    steps = [line.partition(": ")[2] for line in shown if ": " in line]
+    assert steps == ["proving", "compiling the loop for a browser"]
+    assert not shown[-1]  # the line is removed
+    monkeypatch.setattr(sys, "stderr", other := io.StringIO())
+    graph.page(periods=False)
+    assert other.getvalue() == ""
