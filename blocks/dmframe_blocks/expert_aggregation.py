@@ -227,7 +227,7 @@ class ExpertAggregation(AbstractBlock):
         ends = experts.q_start + u.T * (halves(u.dq_r, u.dq_r, experts.command) + by_command)
         E = experts.command.shape[1]
         if self.weighting == "exponential":
-            correction = named("c", experts.command - halves(u.dq_r, u.dq_r, experts.command))
+            correction = named("correction", experts.command - halves(u.dq_r, u.dq_r, experts.command))
             kept = {**kept, **self._begun(u, {"corrections": ca.horzcat(x.corrections[:, E:], correction)})}
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
