@@ -88,7 +88,7 @@ def main(folder: Path, seed: int) -> None:
     text, cells = drawn(load_race("packaged"), seed)
     out = folder / f"fresh_{seed}"
     out.mkdir(exist_ok=True)
-    for law in text["laws"].values():  # the race's own graphs lie beside its file
+    for law in text["laws"].values():  # the race's own graphs are in the folder of its file
         graphs = law["graph"] if isinstance(law["graph"], dict) else {}
         for key, name in graphs.items():
             if str(name).endswith(".yaml"):
