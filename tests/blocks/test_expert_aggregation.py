@@ -172,7 +172,9 @@ def test_the_silent_expert_is_alone_while_the_delay_is_unknown(weighting: str) -
     assert max(shares[40:80]) > lag / 2  # the others have weight while it is known
 
 
-@pytest.mark.parametrize("options", [{"periodic": True}, {"rate": 1.0}, {"delay": 9}, {"memory": -1}, {"roughness": -1}])
+@pytest.mark.parametrize(
+    "options", [{"periodic": True}, {"rate": 1.0}, {"delay": 9}, {"memory": -1}, {"roughness": -1}]
+)
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(DmframeError):
         KIND(**options)
