@@ -20,7 +20,7 @@ from dmframe.simulate import simulate
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdrWANGEHFw")
+LETTERS = set("nmpkhcdrWANGEHFwC")
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {
