@@ -24,7 +24,7 @@ def design(
     ] = None,
     task: Annotated[str, typer.Option(metavar="TASK", help="What follows the path: joints.")] = "joints",
     clock: Annotated[
-        str | None, typer.Option("--clock", "--period", metavar="S", help="Sampling period; default: 8 ms.")
+        str | None, typer.Option("--period", "--clock", metavar="S", help="Sampling period; default: 8 ms.")
     ] = None,
     payload: Annotated[
         str | None, typer.Option(metavar="0..M", help="Mass at the tool [kg]; default: 1/20 of the moving mass.")

@@ -247,7 +247,7 @@ def commands(found: Designed) -> str:
         f"dmframe race {folder}/{RACE} --out {folder}/{RESULTS}",
         f"dmframe verify {folder}/{GRAPH}",
         f"dmframe analyse {folder}/{GRAPH}",
-        f"dmframe rehearse {folder}/{GRAPH} --seconds {REHEARSED:g} --payload '{found.payload:.6g} kg'",
+        f"dmframe rehearse {folder}/{GRAPH} --until {REHEARSED:g} --payload '{found.payload:.6g} kg'",
         f"dmframe run {folder}/{GRAPH}",
     ]
     return "\n".join(lines) + "\n"
@@ -257,7 +257,7 @@ def command_of(request: Request, out: str | Path) -> str:
     """The command of a request."""
     words = ["dmframe", "design", request.robot, "--out", str(out), "--task", request.task]
     words += ["--log", request.log] if request.log is not None else []
-    words += ["--clock", plain(request.clock, "s")] if request.clock is not None else []
+    words += ["--period", plain(request.clock, "s")] if request.clock is not None else []
     words += ["--payload", f"0..{request.payload:g}"] if request.payload is not None else []
     words += ["--tool", request.tool] if request.tool else []
     words += [word for joint, value in request.hold for word in ("--hold", f"{joint}={value:g}")]
