@@ -347,11 +347,10 @@ def along(w: Any, values: Any) -> Any:
 def in_power(losses: Any, power: Any) -> Any:
     """Weights of all but the first expert, in proportion to its loss to minus that power, by joint in one column.
 
-    The losses are divided by a smooth minimum first, of two norms, so that no power leaves the range of a float.
+    The losses are divided by the least one first: its share is 1, so that the sum is not zero with any power.
     """
-    E = losses.shape[1]
-    near = losses
-    for norm in (8, 64):
-        near = near * ca.repmat(ca.sum2(near**-norm) ** (1 / norm), 1, E)
-    shares = ca.exp(-power * ca.log(near))
+    E, least = losses.shape[1], losses[:, 0]
+    for k in range(1, E):
+        least = ca.fmin(least, losses[:, k])
+    shares = ca.exp(-power * ca.log(losses / ca.repmat(least, 1, E)))
     return ca.vec((shares / ca.repmat(ca.sum2(shares), 1, E))[:, 1:].T)
