@@ -1,4 +1,4 @@
-// Live page: a slider changes a parameter, the loop is simulated anew, and plots, scene and verdict are updated.
+// Live page: a slider changes a parameter, the loop is simulated again, and plots, scene and verdict are updated.
 
 const find = (id) => document.getElementById(id);
 const content = JSON.parse(find("data").textContent);
