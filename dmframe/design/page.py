@@ -29,7 +29,7 @@ def _sections(found: Designed) -> Iterator[Section]:
     if found.checks:
         yield Section("checks", "The checks", [_checks(found)])
     if found.ranking is not None and not found.log:
-        yield Section("plants", "The servos", [_plants(), Paragraph(_assumed(), note=True)])
+        yield Section("plants", "The servos", [_plants(), Paragraph(Marked(_assumed()), note=True)])
     if found.files:
         rows: list[list[Cell]] = [[Word(name, "code"), about] for name, about in found.files]
         yield Section("files", "The files", [Table(rows, ["file", "what it is"], "In the folder of this page.")])
