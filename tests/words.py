@@ -62,6 +62,12 @@ PACKAGE: Final[dict[str, str]] = {
     "shelf": "registry, catalogue",
     "risky": "domain condition",
     "(?:laws?|files?) says?|what became of": "name what is given, and where",
+    "anew": "again",
+    "honest|honestly": "correct, true",
+    "feels?": "is affected by, affects",
+    "speaks? of|obeys?": "names, states; satisfies",
+    "plainest|outgrows?": "simplest; grows faster than",
+    "numbers? says? so|has an inside": "the number is set; has an interior",
 }
 """Patterns that are kept out of the code of the package only; tests and pages have other uses of these words."""
 

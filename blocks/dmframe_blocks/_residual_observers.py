@@ -115,14 +115,14 @@ class Fourier:
 
 
 SIMPLE: Final[tuple[Observer, ...]] = (
-    *(Level(alpha) for alpha in (1.0, 0.3, 0.1, 0.03)),
-    Trend(0.7, 0.3),
-    Trend(0.5, 0.1),
-    Trend(0.3, 0.03),
+    *(Level(alpha) for alpha in (0.3, 0.15, 0.07, 0.03)),
+    Trend(0.3, 0.05),
+    Trend(0.2, 0.03),
+    Trend(0.1, 0.01),
 )
 """Observers of any signal."""
 
-PERIODIC: Final[tuple[Observer, ...]] = (Fourier(4, 0.15), Fourier(4, 0.04), Fourier(20, 0.6), Fourier(20, 0.17))
+PERIODIC: Final[tuple[Observer, ...]] = (Fourier(4, 0.15), Fourier(4, 0.04), Fourier(20, 0.3), Fourier(20, 0.1))
 """Observers of a signal that repeats."""
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, final
+from typing import Any, Final, Literal, final
 
 import casadi as ca
 from pydantic import Field, model_validator
 
 from dmframe.block import (
+    ANY,
     PERIOD,
     SX,
     AbstractBlock,
@@ -27,6 +28,11 @@ from dmframe.block import (
 )
 from dmframe_blocks._excitation import check_seed, following, seeded, sign
 from dmframe_blocks._identified_delay import DELAY_HAT, IDENTIFIED, MOST_DELAY
+
+PERIODS: Final = 25
+"""Number of samples over which the period is averaged."""
+UNLIKE: Final = 2.5
+"""Factor between two periods at which models of a sample no longer apply."""
 
 
 @final
@@ -52,9 +58,9 @@ class DelayProbe(AbstractBlock):
 
     Blocks with `delay_up_to` use the outputs delay_hat and identified.
 
-    *Trip.* With `tripping` the probe watches the error of the tool, as the task law predicts it for the next command.
-    Its mean square over about `dwell` at the end of the excitation, when nothing that needs the delay acts, is the
-    scale. After that
+    *Trip.* With `tripping` the probe watches the error, as the task law predicts it for the next command: x_err of the
+    tool, or q_err of the joints with watched: joints. Its mean square over about `dwell` at the end of the excitation,
+    when nothing that needs the delay acts, is the scale. After that
 
         mean = mean + T/dwell (|x_err|^2 - mean),    tripped if mean > trip^2 scale
 
@@ -62,6 +68,10 @@ class DelayProbe(AbstractBlock):
     `lasting`. The new delay is longer by at least one sample, and the scale does not become smaller. With a delay that
     would be longer than `delay_up_to`, or a last sum that does not reach the threshold, it remains unknown; in the
     first case the excitation ends too. So a loop that diverges with the delay is left, at most delay_up_to + 1 times.
+
+    It trips as well if the mean of the period over about 25 samples becomes more than 2.5 times as long or as short as
+    when the delay was identified, for example since the operator slows the robot down: the servo then responds in other
+    numbers of samples, and models of it are wrong. The delay need not be longer after that.
 
     Parameters
     ----------
@@ -86,8 +96,10 @@ class DelayProbe(AbstractBlock):
         Whole number that determines the signs of the excitation.
     tripping : true or false
         With the trip.
+    watched : tool or joints
+        Whose error the trip watches.
     trip : scalar, > 0
-        Largest error of the tool, relative to that at the end of the excitation.
+        Largest error, relative to that at the end of the excitation.
     dwell : scalar, s, > 0
         Time over which the error is averaged, with the trip.
 
@@ -106,6 +118,7 @@ class DelayProbe(AbstractBlock):
         Input("dq_r", "n", "rad/s"),
         Input("dq_sent", "n", "rad/s"),
         Input("x_err", "m", "m", optional=True),
+        Input("q_err", "n", "rad", optional=True),
         PERIOD,
     )
     outputs = (
@@ -127,8 +140,10 @@ class DelayProbe(AbstractBlock):
         State(DELAY_HAT.name, sampled=True),
         State(IDENTIFIED.name, sampled=True),
         State("delay_least", sampled=True, optional=True),
-        State("error_mean", "", "m^2", sampled=True, optional=True),
-        State("error_scale", "", "m^2", sampled=True, optional=True),
+        State("error_mean", "", ANY, sampled=True, optional=True),
+        State("error_scale", "", ANY, sampled=True, optional=True),
+        State("period_mean", "", "s", sampled=True, optional=True),
+        State("period_scale", "", "s", sampled=True, optional=True),
     )
 
     delay_up_to: int = Field(3, ge=1, le=MOST_DELAY)
@@ -141,6 +156,7 @@ class DelayProbe(AbstractBlock):
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-9)
     seed: Scalar = Positive(default=1.0)
     tripping: bool = False
+    watched: Literal["tool", "joints"] = "tool"
     trip: Scalar = Positive(default=3.0)
     dwell: Scalar = Positive("", "s", default=1.0)
 
@@ -154,12 +170,13 @@ class DelayProbe(AbstractBlock):
         return {**super().sizes(robot), "r": self.taps}
 
     def needs(self, port: str) -> bool:
-        """The error of the tool, with the trip."""
-        return port == "x_err" and self.tripping
+        """The watched error, with the trip."""
+        return self.tripping and port == {"tool": "x_err", "joints": "q_err"}[self.watched]
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, and the first values of the generators."""
-        return {"q_before": u.q, "draw": seeded(p.seed, u.q.shape[0])}
+        begins = {"q_before": u.q, "draw": seeded(p.seed, u.q.shape[0])}
+        return begins | ({"period_mean": u.T} if self.tripping else {})
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The excitation, the regression, and the delay when the excitation ends."""
@@ -207,12 +224,20 @@ class DelayProbe(AbstractBlock):
         if not self.tripping:
             return 0, {}
         share = ca.fmax(counts, x.identified) * ca.fmin(1, u.T / p.dwell)
-        mean = named("mean_new", x.error_mean + share * (ca.sumsqr(u.x_err) - x.error_mean))
-        tripped = named("tripped", x.identified * (mean > p.trip * p.trip * x.error_scale))
+        error = u.x_err if self.watched == "tool" else u.q_err
+        mean = named("mean_new", x.error_mean + share * (ca.sumsqr(error) - x.error_mean))
+        period = named("period_new", x.period_mean + (u.T - x.period_mean) / PERIODS)
+        ratio = named("ratio", period / ca.fmax(x.period_scale, u.T / UNLIKE**2))
+        unlike = named("unlike", ca.fmax(ratio > UNLIKE, ratio < 1 / UNLIKE))
+        astray = named("astray", mean > p.trip * p.trip * x.error_scale)
+        tripped = named("tripped", x.identified * ca.fmax(astray, unlike))
+        known = x.identified > 0.5
         return tripped, {
-            "delay_least": ca.if_else(tripped, x.delay_hat + 1, x.delay_least),
+            "delay_least": ca.if_else(x.identified * astray, x.delay_hat + 1, x.delay_least),
             "error_mean": (1 - tripped) * mean,
-            "error_scale": ca.if_else(x.identified > 0.5, x.error_scale, ca.fmax(x.error_scale, ends * mean)),
+            "error_scale": ca.if_else(known, x.error_scale, ca.fmax(x.error_scale, ends * mean)),
+            "period_mean": period,
+            "period_scale": ca.if_else(known, x.period_scale, ends * period),
         }
 
 

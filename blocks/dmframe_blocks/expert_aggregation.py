@@ -18,6 +18,7 @@ from dmframe.block import (
     Diagonal,
     Equations,
     Input,
+    NonNegative,
     NormalisedSteps,
     Output,
     Positive,
@@ -61,10 +62,12 @@ class ExpertAggregation(AbstractBlock):
 
     *Weights, exponential.* Of each joint, with the memory of M = `memory` / T samples,
 
-        L_i = (1 - 1/M) L_i + e_i^2,    w_i proportional to L_i^(-M/2)
+        L_i = (1 - 1/M) L_i + e_i^2 + (roughness b_i)^2,    w_i proportional to L_i^(-M/2)
 
-    smoothed with the gain `weight_gain`. This is the exponentially weighted average of the normalised likelihoods of
-    errors with unknown variance. No claim covers these weights.
+    smoothed with the gain `weight_gain`. Without `roughness` this is the exponentially weighted average of the
+    normalised likelihoods of errors with unknown variance. :math:`b_i` is the second difference of the correction
+    :math:`u_i - \dot q_r` over the last three samples: an expert can forecast well an oscillation that its own
+    corrections cause in the closed loop, and forecast errors alone then keep its weight. No claim covers these weights.
 
     *Weights, projection.* Of each joint, with the rows :math:`h_i = (\hat q_i - \hat q_0) / T` and the output
     :math:`y = (q - \hat q_0) / T`, expert 0 the silent one,
@@ -104,6 +107,9 @@ class ExpertAggregation(AbstractBlock):
         Share by which exponential weights approach those that the losses give in a sample.
     quiet : scalar, rad/s, > 0
         Errors far below this are compared as equal: its square is added to :math:`L_i`.
+    roughness : scalar, >= 0
+        Share of the second difference of an expert's correction that counts as a forecast error. With too much of it
+        the slow observers always win.
     Gamma, nu : scalar, , rad^2/s^2, > 0
         Gain and normalisation of the projection.
     u_max : diagonal (n,), rad/s, > 0
@@ -143,6 +149,7 @@ class ExpertAggregation(AbstractBlock):
         State("observed", "n H", "rad/s", sampled=True, recorded=False),
         State("phase", "", "rad", sampled=True, optional=True),
         State("losses", "n E", "rad^2/s^2", sampled=True, recorded=False, optional=True),
+        State("corrections", "n C", "rad/s", sampled=True, recorded=False, optional=True),
         State("weights", "w", sampled=True, recorded=False),
         State("forecasts", "n F", "rad", sampled=True, recorded=False),
         State("q_before", "n", "rad", sampled=True),
@@ -158,6 +165,7 @@ class ExpertAggregation(AbstractBlock):
     memory: Scalar = Positive("", "s", default=6.0)
     weight_gain: Scalar = Positive(default=0.2)
     quiet: Scalar = Positive("", "rad/s", default=1e-8)
+    roughness: Scalar = NonNegative(default=0.0)
     Gamma: Scalar = Positive(default=1.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-6)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
@@ -180,11 +188,11 @@ class ExpertAggregation(AbstractBlock):
         return (*SIMPLE, *(PERIODIC if self.periodic else ()))
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """E: experts; w: weights of all but the first, of all joints; H: numbers of observers; F: stored forecasts."""
+        """E: experts; w: weights without the first; H: numbers of observers; F: stored forecasts; C: corrections."""
         observers = self._observers
         E = 2 * (1 + len(observers))
         own = {"E": E, "H": 2 * size_of(observers), "F": E * (longest(self) + 1), "d": longest(self) + 1}
-        return {**super().sizes(robot), **own, "w": robot.n * (E - 1)}
+        return {**super().sizes(robot), **own, "w": robot.n * (E - 1), "C": 3 * E}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, with the silent expert alone."""
@@ -218,6 +226,9 @@ class ExpertAggregation(AbstractBlock):
         by_command = elementwise(experts.slope, halves(dq_sent, dq_sent, experts.command) - experts.command)
         ends = experts.q_start + u.T * (halves(u.dq_r, u.dq_r, experts.command) + by_command)
         E = experts.command.shape[1]
+        if self.weighting == "exponential":
+            correction = named("correction", experts.command - halves(u.dq_r, u.dq_r, experts.command))
+            kept = {**kept, **self._begun(u, {"corrections": ca.horzcat(x.corrections[:, E:], correction)})}
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
             next={
@@ -266,7 +277,10 @@ class ExpertAggregation(AbstractBlock):
             weights = named("w_new", projected(x.weights, h, y, p.Gamma, p.nu))
             return weights, {"weights": weights}
         delay = self.delay if self.delay_up_to is None else u.delay_hat
-        losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + elementwise(errors, errors))
+        before, last, newest = ca.horzsplit(x.corrections, errors.shape[1])
+        rough = named("rough", (x.count > 2) * p.roughness * (newest - 2 * last + before))
+        lost = elementwise(errors, errors) + elementwise(rough, rough)
+        losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + lost)
         wanted = named("w_wanted", in_power(losses / (p.quiet * p.quiet) + 1, p.memory / (2 * u.T)))
         known = x.count > delay + 1  # before, all losses are zero
         weights = named("w_new", x.weights + known * p.weight_gain * (wanted - x.weights))
@@ -333,11 +347,10 @@ def along(w: Any, values: Any) -> Any:
 def in_power(losses: Any, power: Any) -> Any:
     """Weights of all but the first expert, in proportion to its loss to minus that power, by joint in one column.
 
-    The losses are divided by a smooth minimum first, of two norms, so that no power leaves the range of a float.
+    The losses are divided by the least one first: its share is 1, so that the sum is not zero with any power.
     """
-    E = losses.shape[1]
-    near = losses
-    for norm in (8, 64):
-        near = near * ca.repmat(ca.sum2(near**-norm) ** (1 / norm), 1, E)
-    shares = ca.exp(-power * ca.log(near))
+    E, least = losses.shape[1], losses[:, 0]
+    for k in range(1, E):
+        least = ca.fmin(least, losses[:, k])
+    shares = ca.exp(-power * ca.log(losses / ca.repmat(least, 1, E)))
     return ca.vec((shares / ca.repmat(ca.sum2(shares), 1, E))[:, 1:].T)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import pi, sin
 from typing import Self, final
 
 import casadi as ca
@@ -31,6 +30,7 @@ from dmframe_blocks._identified_delay import (
     longest,
     needs_delay,
 )
+from dmframe_blocks._margins import gain_at_limit
 
 
 @final
@@ -165,13 +165,6 @@ class SampledTracking(AbstractBlock):
         if "Lambda" in p:
             return x_err, goal + (1 - u.T * p.Lambda) * x_err
         if "gain_margin" in p:
-            return x_err, goal + (1 - self._bound(u) / p.gain_margin) * x_err
+            return x_err, goal + (1 - gain_at_limit(self, u) / p.gain_margin) * x_err
         J = p.robot.jacobian(u.q_start)
         return x_err, goal + x_err - u.T * p.gamma * (J @ (J.T @ x_err))
-
-    def _bound(self, u: Signals) -> SX:
-        """T Lambda of a loop at the limit of stability, with the delay of the margin."""
-        bounds = [2 * sin(pi / (4 * (self.delay_margin + d) + 2)) for d in range(longest(self) + 1)]
-        if self.delay_up_to is None:
-            return bounds[0]
-        return named("bound", ca.if_else(u.identified, chosen(bounds, u.delay_hat), bounds[-1]))

@@ -84,7 +84,7 @@ def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
 
 
 def _memory(term: InformationSquare) -> StableLinear:
-    """An information matrix with forgetting obeys a stable linear equation."""
+    """An information matrix with forgetting satisfies a stable linear equation."""
     memory = ca.vec(ca.densify(term.memory))
     return StableLinear(
         (memory,), ((-term.forgetting,),), (memory,), of=(Text(name_of("G"), " of ", square_of(term.of, "G")),)
@@ -346,7 +346,9 @@ def _assumed(claim: Claim) -> Iterator[Text]:
     for part in claim.parts:
         for term in part.certificate.residual:
             if isinstance(term, NormSquare):
-                yield sentence("the dissipation of {a} outgrows {size}", a=term.by_of, size=around(term.by_of, "|{}|"))
+                yield sentence(
+                    "the dissipation of {a} grows faster than {size}", a=term.by_of, size=around(term.by_of, "|{}|")
+                )
             elif isinstance(term, Clipped):
                 yield Text(term.of, " is bounded")
 

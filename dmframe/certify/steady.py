@@ -47,7 +47,7 @@ def stated_claims(block: AbstractBlock, seen: View, constants: dict[str, SX]) ->
 
 
 def _with_own_constants(stated: Certificate, known: dict[str, SX]) -> dict[str, Any]:
-    """A certificate whose unknown constants, created anew by each evaluation, are replaced by the `known` ones."""
+    """A certificate whose unknown constants, created again by each evaluation, are replaced by the `known` ones."""
     made = {name: value for name, value in stated.unknown.items() if isinstance(value, ca.SX)}
     ours = [known.setdefault(name, ca.SX.sym(name, *value.shape)) for name, value in made.items()]
     found = dict[str, Any]()

@@ -30,6 +30,7 @@ from dmframe.cli.arguments import (
     robot_names,
 )
 from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
+from dmframe.cli.design import design
 from dmframe.cli.experiment import experiment
 from dmframe.cli.groups import GroupedCommands
 from dmframe.cli.identify import identify
@@ -76,7 +77,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (study, tune, race, which, graphs, robots, new):
+for command in (design, study, tune, race, which, graphs, robots, new):
     app.command()(command)
 
 

@@ -164,7 +164,7 @@ class ClosedLoop:
             if variable.sampled:
                 return f"{variable.label} is a sampled state"
         if self.noises:
-            return f"{self.noises[0].label} is drawn anew at each sample"
+            return f"{self.noises[0].label} is drawn again at each sample"
         moves = stack([self.rate, *(signal.expression for signal in self.outputs)])
         return "a block reads the sampling period" if ca.depends_on(moves, self.period) else ""
 

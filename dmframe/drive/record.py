@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, Final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.block.model import SYMBOLIC
+from dmframe.block.model import SYMBOLIC, symbols_in
 from dmframe.block.port import Side
 from dmframe.common.slices import slices
 from dmframe.common.units import plain
@@ -39,6 +40,7 @@ def recording_of(
     gate: Gate,
     solver: Solver,
     thinned: bool = False,
+    only: Collection[str] | None = None,
 ) -> Recording | None:
     """Recording of a drive; None without a sample.
 
@@ -49,6 +51,8 @@ def recording_of(
     ----------
     thinned
         Decimate the samples of a long drive so that the signals fit into `MOST_BYTES`.
+    only
+        Labels of the outputs of the controller and of trajectories that are computed; all by default.
     """
     journal = result.journal
     if not len(journal):
@@ -66,7 +70,7 @@ def recording_of(
     known = plain_signals(diagram)
     others = {label: shown[name] for label, name in known.items() if label not in measured and name in shown}
     seen = _velocities_scaled(measured, scaled, scale)
-    outputs = {**_computed(diagram, states, seen, time, period), **others, **measured, **commands}
+    outputs = {**_computed(diagram, states, seen, time, period, only), **others, **measured, **commands}
     hidden = {variable.label for variable in diagram.loop.controller if not variable.recorded}
     extra = {
         "robot.time": ExtraSignal(found["time"], "", "s", "time of the robot's clock"),
@@ -130,20 +134,28 @@ def plain_signals(diagram: Diagram) -> dict[str, str]:
 
 
 def _computed(
-    diagram: Diagram, states: dict[str, np.ndarray], measured: dict[str, np.ndarray], time: Any, period: Any
+    diagram: Diagram,
+    states: dict[str, np.ndarray],
+    measured: dict[str, np.ndarray],
+    time: Any,
+    period: Any,
+    only: Collection[str] | None = None,
 ) -> dict[str, np.ndarray]:
     """Outputs of the controller and of trajectories, by rows."""
     loop = diagram.loop
     plant = stack(variable.symbol for variable in loop.plant)
     with SYMBOLIC:
         own = [signal for signal in moving_outputs(diagram) if diagram.blocks[signal.block].side is not Side.PLANT]
+        own = [signal for signal in own if only is None or signal.label in only]
         column = loop.projected([stack(signal.expression for signal in own)], joined=False)[0]
         column = ca.cse(loop.on_path(column))
-        z, given = stack(v.symbol for v in loop.controller), stack(leaf.symbol for leaf in loop.measured)
+        used = symbols_in([column])
+        read = [variable for variable in loop.controller if used & variable.identities]
+        z, given = stack(v.symbol for v in read), stack(leaf.symbol for leaf in loop.measured)
         if ca.depends_on(column, plant):
             own, column = _without(own, loop, plant)
         f = ca.Function("outputs", [z, given, loop.time, loop.period, loop.p], [column])
-        rows = [np.zeros((len(time), 0)), *(states[variable.label] for variable in loop.controller)]
+        rows = [np.zeros((len(time), 0)), *(states[variable.label] for variable in read)]
         inputs = [np.zeros((len(time), 0)), *(measured[leaf.name] for leaf in loop.measured)]
         z, given = np.hstack(rows).T, np.hstack(inputs).T
         parts_of = [slice(first, min(first + CHUNK, len(time))) for first in range(0, len(time), CHUNK)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final, final
 
 import numpy as np
@@ -20,9 +21,10 @@ from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
 from dmframe.drive.rival import Law, Rival, law_of
 from dmframe.drive.robots import clock_of, simulated_robot, usual_payload
-from dmframe.results.metrics import euclidean, tracking_error
+from dmframe.results.metrics import euclidean, goal_of, tracking_error
 from dmframe.runtime.driving import DriveResult, Plan, drive
 from dmframe.runtime.gate import Gate, Limits
+from dmframe.runtime.scaled import ScaledController
 from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.simulate.engine import Choice
 
@@ -298,6 +300,10 @@ def _why(run: Measured, ideal: Measured) -> str:
     return ""
 
 
+MODEL: Final = ("payload", "jitter")
+"""Options of a condition that change the simulated robot's model."""
+
+
 @final
 @dataclass(frozen=True)
 class _Trial:
@@ -308,14 +314,22 @@ class _Trial:
     limits: Limits
     engine: Choice
     law: Law | None
+    _robots: dict[Any, SimulatedRobot] = field(default_factory=dict)
+
+    @cached_property
+    def _scaled(self) -> ScaledController:
+        return scaled_controller(self.graph, self.engine)
 
     def measured(self, condition: Condition) -> Measured:
         """Errors of the graph's controller."""
-        scaled = scaled_controller(self.graph, self.engine)
+        scaled = self._scaled
         found, robot, gate = self._simulated_drive(scaled, condition)
         plan = self._plan(condition)
+        diagram = self.graph.diagram
+        goal = goal_of(diagram.loop)
+        only = [] if goal is None else [goal.desired, goal.actual]
         recording = recording_of(
-            self.graph.diagram, scaled, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
+            diagram, scaled, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver, only=only
         )
         error = tracking_error(recording) if recording is not None else None
         if recording is None or error is None:
@@ -342,7 +356,12 @@ class _Trial:
         return Plan(self.duration, ramp=condition.ramp)
 
     def _simulated_drive(self, scaled: Any, condition: Condition) -> tuple[DriveResult, SimulatedRobot, Gate]:
-        robot = simulated_robot(self.graph, self.duration, self.engine, **condition.options)
+        options = dict(condition.options)
+        model = {name: options.pop(name) for name in MODEL if name in options}
+        key = tuple(model.items())
+        if key not in self._robots:  # the model takes longer than a drive
+            self._robots[key] = simulated_robot(self.graph, self.duration, self.engine, **model)
+        robot = self._robots[key].again(**options)
         gate = Gate(self.limits, robot.period)
         return drive(scaled, robot, gate, self._plan(condition), lambda: ""), robot, gate
 

@@ -71,7 +71,7 @@ def source_text(source: Source, name: str) -> str:
         case Period():
             return "the sampling period"
         case Drawn():
-            return "drawn anew at each sample"
+            return "drawn again at each sample"
         case Ahead(of, samples):
             return f"{name}.{of}, {_samples(samples)} later"
         case _:

@@ -11,6 +11,7 @@ import numpy as np
 
 from dmframe.identification.log import Log
 from dmframe.identification.model import Array
+from dmframe.identification.roots import with_friction
 from dmframe.identification.rows import rows_of, starts
 from dmframe.identification.solve import MOST_DELAY, RESOLUTION, ROUNDS, Fit, fine_step, solved, total
 from dmframe.identification.twin import Twins
@@ -32,6 +33,8 @@ SMALL: Final = 0.2
 """Part of the tracking error's share in the floor that counts as noise."""
 WHITE: Final = 2.5
 """Largest inflation of such a residual."""
+SAME: Final = 1e-3
+"""Increase of the sum of the joints' logarithms of residuals between two fits of the same motion."""
 SHARE: Final = 0.001
 """Fraction of the tracking error that counts as explained."""
 
@@ -169,6 +172,18 @@ class Candidates:
             step = fine_step(self.twins, best, found.floor)
             found.fits[found.best] = solved(self.twins, best.unknowns, best.theta, step=step)
 
+    def settle(self) -> None:
+        """Of two cascades with the same motion take the other one if the viscous friction is clearly negative."""
+        fit = self.choice.fits[self.choice.best]
+        if fit.unknowns.kind != "p_pi" or not self.explained:
+            return
+        deviation = np.sqrt(np.diag(fit.covariance)[fit.unknowns.places["B"]])
+        start = with_friction(fit.unknowns, fit.theta, deviation)
+        if np.any(start != fit.theta):
+            other = solved(self.twins, fit.unknowns, start, step=fine_step(self.twins, fit, self.choice.floor))
+            if np.sum(np.log(other.rms / fit.rms)) < SAME:
+                self.choice.fits["p_pi"] = other
+
     def again(self) -> None:
         """Fit from more starts until a fit leaves noise only: other delays, of all candidates that explain the log."""
         found = self.choice
@@ -218,6 +233,7 @@ def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: Non
         say("fitting, more starts")
         found.again()
         found.refine()
+    found.settle()
     return found.choice
 
 

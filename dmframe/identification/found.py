@@ -12,6 +12,7 @@ from dmframe.identification.answer import NOT_REQUESTED, Verdict
 from dmframe.identification.choose import Choice
 from dmframe.identification.clipped import Limit
 from dmframe.identification.model import Array
+from dmframe.identification.roots import second
 from dmframe.identification.solve import Fit
 from dmframe.identification.torque import Factor
 from dmframe.identification.unknowns import SERVOS
@@ -117,6 +118,30 @@ class Identified:
             found[name] = self.number("f", 0.0) if name == "f" else self.positive(name)
         if self.choice.best == "p_pi_0":
             found["f"] = np.zeros(self.fit.unknowns.model.n), np.zeros((self.fit.unknowns.model.n, 2))
+        return self._with_second(found)
+
+    @cached_property
+    def _second(self) -> dict[str, Array]:
+        """Gains of the cascade with the same motion, (n,), NaN where its viscous friction is clearly negative."""
+        fit = self.fit
+        if self.choice.best != "p_pi":
+            return {}
+        other, at = second(fit.unknowns, fit.theta), fit.unknowns.places
+        possible = other[at["B"]] >= -2 * self.wider * np.sqrt(np.diag(fit.covariance)[at["B"]])
+        own = {name: np.exp(other[at[name]]) for name in ("w", "k_p", "k_i")} | {"f": other[at["f"]]}
+        own["viscous"] = other[at["B"]] / own["w"]
+        return {name: np.where(possible, values, np.nan) for name, values in own.items()}
+
+    def _with_second(self, found: dict[str, tuple[Array, Array]]) -> dict[str, tuple[Array, Array]]:
+        """Limits that contain the second cascade too, with as wide an interval."""
+        for name, other in self._second.items():
+            if name in found:
+                value, limits = found[name]
+                moved = limits + (other - value)[:, None]
+                found[name] = (
+                    value,
+                    np.column_stack([np.fmin(limits[:, 0], moved[:, 0]), np.fmax(limits[:, 1], moved[:, 1])]),
+                )
         return found
 
     @property
@@ -127,7 +152,7 @@ class Identified:
             joints["per_torque"] = "L"
         shared = {"friction_velocity": "v_0", "stribeck_velocity": "v_s"}
         found = {name: self.number(own, 0.0) for name, own in joints.items()}
-        return found | {name: self.positive(own) for name, own in shared.items()}
+        return self._with_second(found) | {name: self.positive(own) for name, own in shared.items()}
 
     @property
     def delay(self) -> tuple[float, tuple[float, float]]:
@@ -149,7 +174,17 @@ class Identified:
     @property
     def indistinguishable(self) -> tuple[str, ...]:
         """What positions and commands alone cannot separate."""
-        return (*ALWAYS, *(_OF_F if self.choice.best.startswith("p_pi") else ()), *self._cascade)
+        return (*ALWAYS, *(_OF_F if self.choice.best.startswith("p_pi") else ()), *self._cascade, *self._twice)
+
+    @property
+    def _twice(self) -> tuple[str, ...]:
+        """Joints of which two cascades have the same motion."""
+        own = self._second
+        return tuple(
+            f"joint {j + 1}: a cascade with k_p {own['k_p'][j]:.4g}, k_i {own['k_i'][j]:.4g} 1/s, f {own['f'][j]:.4g}, "
+            f"and viscous friction {own['viscous'][j]:.4g}; the intervals contain both"
+            for j in np.flatnonzero(np.isfinite(own.get("f", np.array([]))))
+        )
 
     @property
     def _cascade(self) -> tuple[str, ...]:

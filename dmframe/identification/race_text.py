@@ -24,7 +24,7 @@ LEAST_CLOCK: Final = 0.008
 LONGEST_CLOCK: Final = 0.1
 MOST_JOINTS: Final = 3
 SERVO: Final = {"pi": "pi_servo", "pid": "pid_servo", "p_pi": "p_pi_servo"}
-FORGETTING: Final = 20.0
+FORGETTING: Final = 5.0
 """Time constant of the model's forgetting [s]."""
 AVERAGE: Final = 0.07
 """Time over which the rows of the model are averaged [s]."""

@@ -33,7 +33,9 @@ ROTOR: Final = (0.3, 0.4)
 Without the mean, half of the rotors would have a negative inertia, and a fit could end at a mass matrix that is not
 positive definite.
 """
-_FRICTION: Final = {"B": 0.03, "D": 0.05, "S": 0.01}
+VISCOUS: Final = 0.03
+"""Standard deviation of w B before the log is seen."""
+_FRICTION: Final = {"B": VISCOUS, "D": 0.05, "S": 0.01}
 """Standard deviations of w B, w D [rad/s] and w S [rad/s] before the log is seen."""
 BY_TORQUE: Final = 0.05
 """Standard deviation of L, the friction per torque, before the log is seen."""

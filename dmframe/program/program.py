@@ -141,7 +141,7 @@ def read(f: Any) -> Program:
 def shared(program: Program) -> Program:
     """The same program with each value computed once: of equal operations on equal operands the first is kept.
 
-    CasADi builds an expression anew wherever blocks are put together, so that two of three values may be repeated.
+    CasADi builds an expression again where blocks are put together, so that two of three values may be repeated.
     """
     first, place, nodes = dict[tuple[Any, ...], int](), list[int](), list[Node]()
     new = tuple.__new__  # as in `read`

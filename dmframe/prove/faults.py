@@ -29,7 +29,7 @@ def inject_faults(claim: Claim, *, seed: int) -> tuple[InjectedFault, ...]:
 
     They are: each state's rate or increment reversed, each term dropped, each gain changed in the equations only.
 
-    A fault changes the rates or next values, and D V is computed anew; a dropped term is removed from the sum. A term
+    A fault changes the rates or next values, and D V is recomputed; a dropped term is removed from the sum. A term
     that is identically zero (friction that the plant does not have) and a gain that V does not contain are no faults.
     Neither is a gain that does not affect the moves of any state in V, such as that of a regressor that is zero for
     this robot. This is decided from the moves, never from the residual: if a move changes and the residual does not,

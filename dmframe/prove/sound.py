@@ -1,4 +1,4 @@
-"""Validity rules of a claim: if its data obey them, its identity is an identity of V."""
+"""Validity rules of a claim: if its data satisfy them, its identity is an identity of V."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dmframe.program import CONST, INPUT, JUMPS, sign_of
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term
 
 FIXED_KINDS: Final = frozenset(("parameter", "weight", "constant", "stepping"))
-"""Kinds of symbols that are constant; a stepping one is constant between its steps, at which V starts anew."""
+"""Kinds of symbols that are constant; a stepping one is constant between its steps, at which V restarts."""
 
 MOVING: Final = {"flow": frozenset(("time", "state", "trajectory")), "sample": frozenset(("state",))}
 """Kinds of symbols that vary with time, by the operator."""

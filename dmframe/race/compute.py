@@ -34,7 +34,7 @@ MOST: Final = 5
 """Largest number of different faults in an error message."""
 
 Errors = Mapping[Run, float]
-"""RMS of the tool's error over the last eighth of a run [mm]; infinite for a run that diverged."""
+"""RMS error over the last eighth of a run in the unit of the race, mm or mrad; infinite for a run that diverged."""
 
 
 @final
@@ -55,7 +55,7 @@ class Heat:
         return self._runner.engine
 
     def band(self, point: int, end: int, first: int, stop: int) -> Columns:
-        """Errors of the runs [point, end) [mm]: infinite for divergence; NaN, with the reason, for an invalid run."""
+        """Errors of the runs [point, end): infinite for divergence; NaN, with the reason, for an invalid run."""
         like: Graph | None = None
         graphs = list[Graph]()
         for run in self.runs[point:end]:
@@ -79,15 +79,19 @@ class Heat:
             figures = measured.signals.get(ERROR)
             if fault := measured.faults.get(0):
                 found.append((math.nan, str(fault)))
-            elif figures is None or figures.unit != "m":
+            elif figures is None or figures.unit != self.race.file.base_unit:
                 unit = "no path" if figures is None else f"a path in {figures.unit}"
-                found.append((math.nan, f"the error of a race is that of the tool in mm, and the graph follows {unit}"))
+                file = self.race.file
+                text = (
+                    f"the error of this race is that of the {file.error} in {file.unit}, and the graph follows {unit}"
+                )
+                found.append((math.nan, f"{text}; see the key error"))
             else:
                 found.append((self._final(1000 * float(figures.rms_by_eighth[0, 0, -1])), ""))
         return found
 
     def _final(self, error: float) -> float:
-        """Error [mm]; infinite if the loop diverged or the tool exceeded the distance limit of the race."""
+        """The error; infinite if the loop diverged or the error exceeded the limit of the race."""
         return error if error <= 1000 * self.race.file.limit else math.inf
 
 

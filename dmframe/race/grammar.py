@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
@@ -12,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from dmframe.common.errors import DmframeError, Faults
 from dmframe.common.units import plain, to_unit
 from dmframe.config.document import Document, Kind
-from dmframe.config.grammar import Length, Path, RobotSection, Seconds, Section, Speed, robot_name, seed_of, shown
+from dmframe.config.grammar import Path, RobotSection, Seconds, Section, Speed, robot_name, seed_of, shown
 from dmframe.config.grammar import version as checked_version
 from dmframe.config.places import placed
 from dmframe.study.grammar import Labels, counted
@@ -65,6 +66,18 @@ def _next_seed(value: Any) -> Any:
     return value
 
 
+def _distance(value: Any) -> float:
+    """A distance of the tool [m] or of the joints [rad]."""
+    found = math.nan
+    for unit in ("m", "rad"):
+        with suppress(DmframeError):
+            found = to_unit(value, unit)
+            break
+    if not 0 < found < math.inf:
+        raise ValueError(f"expected a length or an angle above zero, such as 0.1 m or 0.1 rad, found {shown(value)}")
+    return found
+
+
 _BOUNDS: Final = {"type": "array", "items": {"type": "number", "exclusiveMinimum": 0}, "minItems": 2, "maxItems": 2}
 _NAMED: Final = {"type": "object", "minProperties": 1}
 
@@ -72,6 +85,9 @@ Bounds: TypeAlias = Annotated[tuple[float, float], BeforeValidator(_bounds), Wit
 Named: TypeAlias = Annotated[dict[str, Any], BeforeValidator(_named), WithJsonSchema(_NAMED)]
 Names: TypeAlias = Annotated[Labels, AfterValidator(_once)]
 Clocks: TypeAlias = Annotated[tuple[Seconds, ...], BeforeValidator(_clocks), AfterValidator(_once)]
+Distance: TypeAlias = Annotated[
+    float, PlainValidator(_distance), WithJsonSchema({"type": ["number", "string"], "description": "in m or rad"})
+]
 Candidates: TypeAlias = Annotated[int, counted(MOST)]
 
 
@@ -220,7 +236,10 @@ class RaceFile(Section):
     robot: Annotated[RobotSection, BeforeValidator(robot_name)] = Field(description="as in a graph")
     start: dict[str, Any] = Field({}, description="as in a graph; near selects a branch of the inverse kinematics")
     duration: Seconds = Field(description="simulated time of each run; the error is that of its last eighth")
-    limit: Length = Field(0.1, description="a run with a larger error counts as diverged")
+    error: Literal["tool", "joints"] = Field(
+        "tool", description="whose error is compared: of the tool's position in mm, or of the joints in mrad"
+    )
+    limit: Distance = Field(0.1, description="a run with a larger error, 0.1 m or 0.1 rad, counts as diverged")
     seed: Annotated[int, BeforeValidator(_next_seed)] = Field(
         0, description="of random numbers in training; held-out cells use the next one"
     )
@@ -240,6 +259,16 @@ class RaceFile(Section):
     budget: Candidates = Field(12, description="candidates of each law at each clock")
     margins: MarginsSection = MarginsSection()
     quick: QuickSection = QuickSection()
+
+    @property
+    def base_unit(self) -> str:
+        """Unit of the path: m or rad."""
+        return {"tool": "m", "joints": "rad"}[self.error]
+
+    @property
+    def unit(self) -> str:
+        """Unit of errors: mm or mrad."""
+        return f"m{self.base_unit}"
 
 
 KEYS: Final = tuple(field.alias or name for name, field in RaceFile.model_fields.items())

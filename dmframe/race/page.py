@@ -77,7 +77,10 @@ def _laws(found: Finished) -> Table:
         quantiles = [_number(of.quantiles[p]) for p in QUANTILES]
         rows.append((of.median, [Word(law, "code"), *quantiles, _range(of, _number), str(wins), str(lost)]))
     heads: list[Cell] = ["law", *(f"{100 * p:g} %" for p in QUANTILES), "interval of the median", "best in", "diverged"]
-    caption = "Error in mm over the held-out cells: quantiles, cells in which the law is the best, and divergences."
+    unit = found.race.file.unit
+    caption = (
+        f"Error in {unit} over the held-out cells: quantiles, cells in which the law is the best, and divergences."
+    )
     ordered = [cells for _, cells in sorted(rows, key=lambda row: row[0])]
     return Table(ordered, heads, caption, kind="study", keys=True, numbers=range(1, len(heads)))
 
@@ -125,7 +128,9 @@ def _cells(found: Finished) -> Table:
         if row.ratio > NEAR:
             failing.append(place)
     heads: list[Cell] = ["cell", *laws, "best rival", "ratio"]
-    caption = f"Errors in mm, the least of a cell in bold; cells with a ratio above {NEAR} are marked."
+    caption = (
+        f"Errors in {found.race.file.unit}, the least of a cell in bold; cells with a ratio above {NEAR} are marked."
+    )
     return Table(
         rows, heads, caption, kind="study wide", numbers=[*range(1, len(laws) + 1), len(heads) - 1], failing=failing
     )
@@ -140,7 +145,7 @@ def _worst(found: Finished) -> Table:
         errors: list[Cell] = [_number(row.error), row.best_rival, _number(row.rival_error)]
         rows.append([row.cell.name, *errors, *again])
     heads = ["cell", "error", "best rival", "its error", "run of the entrant", "run of the rival"]
-    caption = "Errors in mm; the graphs are in the folder of this page."
+    caption = f"Errors in {found.race.file.unit}; the graphs are in the folder of this page."
     return Table(rows, heads, caption, kind="study", numbers=(1, 3))
 
 
@@ -165,7 +170,7 @@ def _tuning(found: Finished) -> Iterator[Paragraph | Table]:
         rows.append([*cells, "rejected" if own.why else _number(math.exp(own.score)), f"{rejected} of {file.budget}"])
     heads = ["law", "clock", "values", "training error", "with its own values", "rejected"]
     caption = (
-        "Training error in mm: the exponential of the median of log error over the training cells "
+        f"Training error in {file.unit}: the exponential of the median of log error over the training cells "
         f"({', '.join(training.plants)}; {', '.join(training.paths)}; {', '.join(training.realities)})."
     )
     yield Table(rows, heads, caption, kind="study", numbers=(3, 4, 5))

@@ -1,8 +1,8 @@
 """What ``dmframe run`` concludes from its graphs alone, kept while everything that they were made from is the same.
 
-A run computes and prints everything anew that depends on its samples. What does not, such as the stability near the
+A run computes and prints again everything that depends on its samples. What does not, such as the stability near the
 set-point or the conditions under which there is a V, is decided once; a graph, a block or a library that has changed
-since is decided anew.
+since is decided again.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ def page_of(entry: dict[str, Any], *, as_json: bool) -> str:
     """What is printed of a verdict that was kept."""
     if not as_json:
         return (
-            f"{entry['text']}\n\nremembered: proved at {entry['proved_at']}, from the same inputs; --fresh proves anew"
+            f"{entry['text']}\n\nremembered: proved at {entry['proved_at']}, from the same inputs; --fresh repeats it"
         )
     summaries = [{**item, "remembered": True} for item in entry["summaries"]]
     return json.dumps(summaries[0] if len(summaries) == 1 else summaries, indent=2)

@@ -17,7 +17,7 @@ Inputs = Mapping[str, Mapping[str, str]]
 
 ABSENT: Final = "absent"
 VOLATILE: Final = ("_",)
-"""Environment variables that the shell sets anew for each command."""
+"""Environment variables that the shell sets again for each command."""
 _SUFFIXES: Final = tuple(importlib.machinery.all_suffixes())
 _METADATA: Final = (".dist-info", ".egg-info", ".egg", ".pth", ".egg-link")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -98,13 +99,25 @@ class SimulatedRobot:
             columns = np.arange(step.parts.outputs.numel_out(0), dtype=np.int64) + (state.size - size)
             self._engine = choose(engine, step, self.solver, 1, columns, max(1, round(duration / clock)))
         self._parts = dict(zip(shown, slices(expression.numel() for expression in shown.values()), strict=True))
+        self.period, self.engine, self._seed = clock, self._engine.name, seed
+        self._start, self._p, self._step, self._size = state[size:].copy(), loop.p_values, step, commands.numel()
+        self._columns = columns.size
+        self._begin(delay, lost, scaling, slowed_from)
+
+    def again(
+        self, *, delay: int = 0, lost: float = 0.0, scaling: float = 1.0, slowed_from: float = 0.0
+    ) -> SimulatedRobot:
+        """The same robot at its start, with other options; its model is shared."""
+        other = copy.copy(self)
+        other._begin(delay, lost, scaling, slowed_from)
+        return other
+
+    def _begin(self, delay: int, lost: float, scaling: float, slowed_from: float) -> None:
         self.name = f"sim:{delay}" if delay else "sim"
-        self.period, self._slowed = clock, (slowed_from, scaling)
-        self.engine = self._engine.name
-        self._state, self._p, self._step, self._size = state[size:].copy(), loop.p_values, step, commands.numel()
+        self._slowed, self._state = (slowed_from, scaling), self._start.copy()
         self._queue = deque([np.zeros(self._size) for _ in range(delay)])
-        self._command, self._rows = np.zeros(self._size), np.zeros((1, columns.size))
-        self._delay, self._lost, self._random = delay, lost, np.random.default_rng(seed)
+        self._command, self._rows = np.zeros(self._size), np.zeros((1, self._columns))
+        self._delay, self._lost, self._random = delay, lost, np.random.default_rng(self._seed)
         self._tick, self._started, self._fault = 0, False, ""
 
     @property

@@ -155,7 +155,9 @@ def compared(found: Identified, plant: Plant, delay: int, folder: Path) -> Itera
     verdict = verdict_of(found, folder)
     for judged in verdict.laws:
         late, values = delay * found.fit.unknowns.log.period, tuple(judged.values.items())
-        error = true_error(load_race(folder / RACE), judged.law, judged.path, values, plant, late, folder)
+        place = folder / "true" / judged.path
+        place.mkdir(parents=True, exist_ok=True)
+        error = true_error(load_race(folder / RACE), judged.law, judged.path, values, plant, late, place)
         about = {"outcome": verdict.outcome, "resolution": verdict.resolution, "true": error}
         yield {key: judged.summary[key] for key in ("law", "path", "error", "interval", "adaptive")} | about
 

@@ -67,6 +67,7 @@ def test_after_a_trip_the_delay_is_longer_and_the_excitation_ends_beyond_the_lon
     block = KIND(delay_up_to=3, taps=4, tripping=True, trip=2.0)
     u = {"q": [0.3, 0.4], "dq_r": [0.0, 0.0], "dq_sent": [0.0, 0.0], "x_err": [1.0, 0.0], "T": T}
     calm = {"draw": drawn(1, 2), "identified": 1, "delay_hat": 2, "since": 9.0, "error_mean": 1.0, "error_scale": 99.0}
+    calm |= {"period_mean": T, "period_scale": T}
     assert float(block.evaluate(u, calm, robot="arm2").next["identified"]) == 1
     after = block.evaluate(u, calm | {"error_scale": 0.01}, robot="arm2")
     assert float(after.outputs["tripped"]) == 1
@@ -186,3 +187,18 @@ def test_a_seed_is_a_whole_number(seed: float) -> None:
     for kind in ("delay_probe", "velocity_probe"):
         with pytest.raises(DmframeError, match=r"seed"):
             block_types()[kind](seed=seed)
+
+
+@pytest.mark.parametrize(("factor", "trips"), [(0.5, False), (0.1, True), (10.0, True)])
+def test_it_trips_where_the_period_becomes_another(factor: float, trips: bool) -> None:
+    block = KIND(delay_up_to=2, tripping=True, watched="joints", lasting=2.0, settling=0.0)
+    states: dict[str, Any] = {"q_before": [0.0], "draw": [5.0], "delay_hat": 1.0, "identified": 1.0, "error_scale": 1.0}
+    states |= {"period_mean": T, "period_scale": T, "delay_least": 0.0}
+    tripped = list[float]()
+    for _ in range(200):
+        u = {"q": [0.0], "dq_r": [0.0], "dq_sent": [0.0], "q_err": [0.1], "T": factor * T}
+        item = block.evaluate(u, states, robot="pendulum")
+        states = dict(item.next)
+        tripped.append(float(item.outputs["tripped"]))
+    assert bool(sum(tripped)) is trips
+    assert float(states["delay_least"]) == 0.0  # the delay in samples need not be another

@@ -52,11 +52,21 @@ LAGS = 0.1 + 0.05 * np.sin(RATE * np.arange(60) * T)
 ERRORS = 0.01 * np.cos(1.7 * RATE * np.arange(60) * T) + 0.003
 
 
-def test_exponential_weights_are_powers_of_discounted_losses() -> None:
-    found = played(KIND(memory=0.4), LAGS, ERRORS)
+def corrections_of(found: dict[str, Any]) -> np.ndarray:
+    """The correction of each expert, from the pose that it forecasts after the command that is sent."""
+    ends = np.ravel(found["forecasts after"])[: 2 * HALF]
+    return found["dq_sent"][0] - (ends - found["q"]) / T
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.3])
+def test_exponential_weights_are_powers_of_discounted_losses(roughness: float) -> None:
+    found = played(KIND(memory=0.4, roughness=roughness), LAGS, ERRORS)
     losses, w, M = np.zeros(2 * HALF), np.eye(2 * HALF)[0], 0.4 / T
     for k in range(2, 60):
         losses = (1 - 1 / M) * losses + errors_of(found, k) ** 2
+        if k > 2:
+            c = [corrections_of(found[k - i]) for i in (1, 2, 3)]
+            losses += (roughness * (c[0] - 2 * c[1] + c[2])) ** 2
         wanted = (losses + 1e-16) ** (-M / 2)
         w = w + 0.2 * (wanted / wanted.sum() - w)
         if k == 2:
@@ -123,6 +133,25 @@ def test_a_command_changes_by_at_most_a_max() -> None:
     assert abs(sent[0]) <= 0.5 * T + 1e-12
 
 
+def test_a_model_whose_inverse_is_unstable_keeps_its_weight_by_its_forecasts_alone() -> None:
+    """v = (u + b u_before)/(1 + b) - lag: with b > 1 the exact inverse oscillates, and its forecasts are exact."""
+    b, lag, peaks = 1.1, 0.05, dict[float, float]()
+    for roughness in (0.0, 0.5):
+        block, q, before, states, sent = KIND(memory=1, roughness=roughness), 0.0, 0.0, start(), list[float]()
+        for k in range(250):
+            wanted = 0.3 * np.sin(2 * k * T)
+            inverse, model = (1 + b) * (wanted + lag) - b * before, {"slope": [1 / (1 + b)], "epsilon": [0.0]}
+            u = {"q": [q], "dq_r": [wanted], "dq_model": [inverse], "q_model": [q], "T": T}
+            item = block.evaluate({**u, **model}, states, robot="pendulum")
+            states = dict(item.next)
+            sent.append(float(item.outputs["dq_sent"][0]))
+            q += T * ((sent[-1] + b * before) / (1 + b) - lag)
+            before = sent[-1]
+        peaks[roughness] = float(np.abs(sent[-100:]).max())
+    assert peaks[0.0] == pytest.approx(3.0)  # u_max
+    assert peaks[0.5] < 0.6
+
+
 @pytest.mark.parametrize("weighting", ["exponential", "projection"])
 def test_the_silent_expert_is_alone_while_the_delay_is_unknown(weighting: str) -> None:
     block, lag = KIND(delay_up_to=1, weighting=weighting), 0.2
@@ -143,7 +172,9 @@ def test_the_silent_expert_is_alone_while_the_delay_is_unknown(weighting: str) -
     assert max(shares[40:80]) > lag / 2  # the others have weight while it is known
 
 
-@pytest.mark.parametrize("options", [{"periodic": True}, {"rate": 1.0}, {"delay": 9}, {"memory": -1}])
+@pytest.mark.parametrize(
+    "options", [{"periodic": True}, {"rate": 1.0}, {"delay": 9}, {"memory": -1}, {"roughness": -1}]
+)
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(DmframeError):
         KIND(**options)
@@ -204,4 +235,4 @@ def test_the_loop_is_better_than_with_the_model_alone_and_with_the_observer_alon
     model = error({**alone, "wires": {}})
     alone["blocks"]["inverse"] = {"type": "disturbance_observer"}
     observer = error({**alone, "wires": {}})
-    assert error(both) < 0.5 * min(model, observer)
+    assert error(both) < 0.7 * min(model, observer)

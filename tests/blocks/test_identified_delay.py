@@ -65,8 +65,8 @@ def test_with_the_delay_that_the_probe_identifies_the_error_is_far_below_that_of
 
 
 def test_the_trip_replaces_a_delay_that_is_too_short() -> None:
-    """A threshold of 0 makes the first delay a coin toss; with this seed it is one sample too short."""
-    graph = aggregated(1).set({"probe.threshold": 1e-3, "probe.confidence": 0, "probe.seed": 2})
+    """A threshold of 0 makes the first delay a coin toss; with this seed it is two samples too short."""
+    graph = aggregated(2).set({"probe.threshold": 1e-3, "probe.confidence": 0, "probe.seed": 4})
     without = graph.run(progress=False, judge=False)
     assert set(without["probe.delay_hat"].values[51:]) == {0}
     assert without.error is not None
@@ -75,9 +75,9 @@ def test_the_trip_replaces_a_delay_that_is_too_short() -> None:
     identified, tripped = (run[f"probe.{name}"].values.ravel() > 0.5 for name in ("identified", "tripped"))
     (at,) = np.flatnonzero(tripped)
     assert not identified[at + 1 : at + 41].any()  # 2 s
-    assert run["probe.delay_hat"].values[-1] == 1
+    assert run["probe.delay_hat"].values[-1] == 2
     assert run.error is not None
-    assert run.error.rms_final < 1e-4
+    assert run.error.rms_final < 5e-4
     T = graph.clock or 0
     counts = identified | (np.arange(tripped.size) >= round(1 / T))  # settling and dwell are 1 s
     errors = np.sum(run["task.x_err"].values ** 2, axis=-1)

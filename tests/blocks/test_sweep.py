@@ -20,7 +20,7 @@ from dmframe.simulate import simulate
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdrWANGEHFw")
+LETTERS = set("nmpkhcdrWANGEHFwC")
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {
@@ -68,6 +68,13 @@ EXAMPLES["velocity_steps"] = (
     .replace("setpoint, x_d: [0.5, 0.4]", "velocity_steps, times: [0.1, 0.6], speeds: [[-0.3, 0.2], [0, 0]]")
     .replace("  geometry: {type: kinematics}\n  task:     {type: known_tracking, gamma: 1}\n", "")
 )
+EXAMPLES["sampled_joint_tracking"] = (
+    EXAMPLES["setpoint"]
+    .replace("setpoint, x_d: [0.5, 0.4]", "waypoints, times: [0, 1], q_d: [[0.5, 0.9], [0.02, 1.41]]")
+    .replace("  geometry: {type: kinematics}\n", "")
+    .replace("known_tracking, gamma: 1", "sampled_joint_tracking, gain_margin: 3")
+    .replace("kinematic_command", "disturbance_observer, alpha: 0")
+)
 EXAMPLES["force_sensor"] = (
     EXAMPLES["setpoint"]
     + "  wall:     {type: wall, point: [0, 0.45], normal: [0, -1], stiffness: 100}\n"
@@ -111,6 +118,7 @@ UNPROVED = {
     "delay_probe",
     "sampled_supervisor",
     "sampled_tracking",
+    "sampled_joint_tracking",
     "disturbance_observer",
     "extended_state_observer",
     "path_pace",

@@ -62,7 +62,7 @@ ABSENT: list[tuple[str, str, Callable[[], object]]] = [
     ),
     ("how_to/camera.md", "The goal has to be at rest", lambda: inputs_of("dchi_d", "ddchi_d")),
     ("how_to/camera.md", "there is no such block", lambda: packaged("image tracking", "image observer")),
-    ("how_to/camera.md", "Uncertain lengths together with an uncertain camera", lambda: inputs_of("W_k")),
+    ("how_to/camera.md", "With uncertain lengths and an uncertain camera", lambda: inputs_of("W_k")),
     ("how_to/reality.md", "Backlash", lambda: packaged("backlash", "ripple", "anti-windup", "thermal")),
     (
         "how_to/virtual_robot.md",

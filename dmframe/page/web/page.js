@@ -1,4 +1,4 @@
-// Live page: a slider changes a parameter, the loop is simulated anew, and plots, scene and verdict are updated.
+// Live page: a slider changes a parameter, the loop is simulated again, and plots, scene and verdict are updated.
 
 const find = (id) => document.getElementById(id);
 const content = JSON.parse(find("data").textContent);
@@ -15,7 +15,7 @@ const loop = await loaded(content).catch((error) => {
   find("detail").textContent = `The page needs WebAssembly and DecompressionStream: ${error.message}`;
   throw error;
 });
-if (content.robot) content.robot.meshes = await Promise.all(content.robot.meshes.map(unfolded));
+if (content.robot) content.robot.meshes = await Promise.all(content.robot.meshes.map(decodedMesh));
 const plots = [], texts = new Map(); // text by element id
 // `perMs`: solver work per millisecond, measured in the last run
 let run = null, perMs = Infinity, scene = null, inks = {}, frames = null;
@@ -289,7 +289,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
 const sliders = new Sliders(content, find("sliders"), request, (text) => (find("about").textContent = text));
 arrange();
 if (!plots.length && !content.robot) find("first").append(make("p", { class: "quiet" }, "This graph has no robot, no error, no command and no estimate: there is nothing to draw."));
-sliders.recall();
+sliders.restore();
 const moment = Number(new URLSearchParams(location.hash.slice(1)).get("at") ?? NaN); // instant that a link names: #at=3.5
 if (moment >= 0) { time = moment; playing = false; }
 play(playing);

@@ -15,8 +15,10 @@ from dmframe.identification.found import Identified
 from dmframe.identification.identify import chain_of
 from dmframe.identification.log import Log
 from dmframe.identification.model import model_of
+from dmframe.identification.roots import second, with_friction
 from dmframe.identification.twin import schedule, twins_of
-from tests.framework.identify.plants import QUANTUM, Hidden, record, write
+from dmframe.identification.unknowns import Unknowns
+from tests.framework.identify.plants import QUANTUM, START, Hidden, record, steps, write
 
 K_P, K_I = np.array([5.0, 7.0, 9.0]), np.array([4.0, 8.0, 6.0])
 
@@ -111,6 +113,34 @@ def test_a_twin_moves_as_a_hidden_robot_whose_friction_grows_with_the_torque() -
     error = np.max(np.abs(found - q[:, :, None]), axis=(0, 1))
     assert error[0] < QUANTUM
     assert error[1] > 20 * QUANTUM
+
+
+def test_two_cascades_have_the_same_motion_and_the_one_with_viscous_friction_is_taken() -> None:
+    t, u = 0.008 * np.arange(400), steps(0.008, 3.2, 0)
+    log = Log(t, np.tile(START, (400, 1)), u[:-1], np.zeros(3))
+    unknowns = Unknowns(model_of(chain_of("ur10_slow")), log, "p_pi")
+    at, theta = unknowns.places, np.zeros(unknowns.size)
+    theta[at["k_p"]], theta[at["k_i"]], theta[at["f"]] = np.log([6.43, 13.0, 5.4]), np.log([9.97, 9.8, 9.0]), 0.77
+    theta[at["w"]], theta[at["B"]], theta[at["D"]] = np.log([1 / 700, 1 / 900, 1 / 450]), [0.01, 0.2, 0.2], 0.01
+    theta[at["v_0"]], theta[at["v_s"]], theta[at["delay"]] = np.log(0.02), np.log(0.05), 1.0
+    other = second(unknowns, theta)
+    assert np.all(np.abs(other[at["f"]] - theta[at["f"]]) > 0.02)
+    assert second(unknowns, other) == pytest.approx(theta, abs=1e-9)
+    both = unknowns.numbers(np.column_stack([theta, other]), log.period)
+    q = twins_of(unknowns.model).positions(schedule(log, log.period), both)
+    assert np.ptp(q[:, 0, 0]) > 0.01
+    assert q[:, :, 0] == pytest.approx(q[:, :, 1], abs=1e-7)
+    wrong = other.copy()
+    wrong[at["B"]] = theta[at["B"]]
+    moved = twins_of(unknowns.model).positions(schedule(log, log.period), unknowns.numbers(wrong[:, None], log.period))
+    assert np.max(np.abs(moved[:, :, 0] - q[:, :, 0])) > 1e-5
+    start = other.copy()
+    assert np.array_equal(with_friction(unknowns, start, np.ones(3)), start)  # negative by an error of the fit
+    settled = with_friction(unknowns, start, np.full(3, 1e-3))
+    negative = start[at["B"]] < 0
+    assert np.any(negative)
+    assert np.all(settled[at["B"]][negative] == pytest.approx(theta[at["B"]][negative]))
+    assert np.array_equal(settled[at["f"]][~negative], start[at["f"]][~negative])
 
 
 def test_friction_that_grows_with_the_torque_is_found_and_in_the_twin(tmp_path: Path) -> None:

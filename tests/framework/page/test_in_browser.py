@@ -390,7 +390,7 @@ def test_on_a_slow_clock_the_banner_is_not_green_and_the_title_follows(tab: Brow
     data = {**content("ur10_fast"), "periods": {"rest": 0.0421, "moving": 0.0159, "reason": ""}}
     tab.opened(saved(tmp_path, assembled(data)), "#clock=16")
     assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == f"{PROVED}; at 128 ms unstable near its set-point"
-    assert re.search(r"V rose at \d+ of 156 samples, by at most [\d.]+ % of its fall", tab.value(DETAIL))
+    assert re.search(r"V rose at \d+ of 156 samples, by at most [\d.]+ % of its decrease", tab.value(DETAIL))
     assert "sampled at 128 ms" in tab.value("document.title")
     assert "sampled at 128 ms" in tab.value("document.querySelector('h1').textContent")
     tone = "getComputedStyle(document.getElementById('headline')).color"

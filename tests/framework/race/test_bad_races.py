@@ -46,7 +46,7 @@ FAULTS = {
     "a clock twice": (("[20 ms]", "[20 ms, 0.02]"), "small.yaml:7:9: clocks: expected each once, found 20 ms twice"),
     "a clock longer than the run": (("[20 ms]", "[2 s]"), "small.yaml:7:9: tuned in 2 s, circle, first, ideal: clock:"),
     "an unknown state": (("{near: [0.5, 0.5]}", "{qq: 1}"), "start.qq: unknown state"),
-    "a limit of zero": (("budget: 4", "limit: 0"), "limit: expected a positive number in m, found 0"),
+    "a limit of zero": (("budget: 4", "limit: 0"), "limit: expected a length or an angle above zero"),
     "the last seed": (("budget: 4", f"seed: {2**64 - 1}"), "seed: expected at most 2^64 - 2, since held-out cells use"),
     "no training": (("realities: ideal}", "realities: []}"), "training.realities: expected at least 1, found []"),
     "a training plant twice": (("plants: first", "plants: [first, first]"), "expected each once, found first twice"),

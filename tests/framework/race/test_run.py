@@ -124,7 +124,7 @@ def test_a_plant_without_an_arm_and_an_error_in_radians_are_reported_with_law_an
     file.write_text(law.replace("  geometry: {type: kinematics}\n", ""), encoding="utf-8")
     with pytest.raises(DmframeError) as caught:
         finished(race((circle, swing), (other, swing), ("budget: 4", "budget: 1"), *gains), tmp_path / "b")
-    text = "the error of a race is that of the tool in mm, and the graph follows a path in rad"
+    text = "the error of this race is that of the tool in mm, and the graph follows a path in rad; see the key error"
     assert str(caught.value) == f"tuned in 20 ms, circle, first, ideal and 3 more runs: {text}"
 
 

@@ -1,0 +1,46 @@
+"""Candidates for the design: tuned laws, and the next best values of an adaptive law that fails a check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final, final
+
+from dmframe.design.decide import Candidate, Ranking, ranked
+from dmframe.race.compute import Kept, computed
+from dmframe.race.plan import Run
+from dmframe.race.protocol import Choice
+from dmframe.race.run import Finished
+
+TRIED: Final = 3
+"""Values of an adaptive law that are checked, the best in training first."""
+
+
+@final
+class Contest:
+    """A finished race, and further candidates of its adaptive laws.
+
+    Attributes
+    ----------
+    ranking
+        All laws with the values that the protocol chose.
+    """
+
+    def __init__(self, finished: Finished, adaptive: Sequence[str], workers: int | None) -> None:
+        self._finished, self._workers = finished, workers
+        self.ranking: Ranking = ranked(finished, adaptive)
+
+    def adaptive(self) -> Iterator[Candidate]:
+        """Adaptive laws in the order of their errors; of each the values with the best training scores."""
+        for chosen in self.ranking.ordered(adaptive=True):
+            yield chosen
+            for choice in self._finished.choices:
+                if choice.law == chosen.law:
+                    yield from self._others(choice, chosen)
+
+    def _others(self, choice: Choice, chosen: Candidate) -> Iterator[Candidate]:
+        accepted = sorted((tried for tried in choice.tried if not tried.why), key=lambda tried: tried.score)
+        for tried in accepted[1:TRIED]:
+            race = self._finished.race
+            runs = [Run(choice.law, cell, tried.values, race.file.seed + 1) for cell in race.held_out]
+            errors = computed(race, runs, Kept(self._finished.folder), workers=self._workers)
+            yield Candidate(chosen.law, True, dict(tried.values), [errors[run] for run in runs])

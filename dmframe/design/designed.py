@@ -1,0 +1,120 @@
+"""Result of a design: what is handed over, with its figures and checks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, final
+
+from dmframe.design.decide import Candidate, Ranking
+
+Outcome = Literal["adaptive", "simple", "blocked"]
+GRAPH: Final = "graph.yaml"
+REPORT: Final = "report.html"
+SUMMARY: Final = "design.json"
+
+
+@final
+@dataclass(frozen=True)
+class Check:
+    """A check of the handed-over graph: what was checked, its conclusion, and whether it passed."""
+
+    of: str
+    text: str
+    passed: bool
+
+
+@final
+@dataclass(frozen=True)
+class Designed:
+    """Result of a design.
+
+    Parameters
+    ----------
+    outcome
+        ``adaptive``: an adaptive law, proved and rehearsed; ``simple``: a tuned law without a model, rehearsed;
+        ``blocked``: nothing is handed over.
+    reason
+        One sentence.
+    chosen, other
+        The handed-over law, and the best one of the other kind.
+    clock, payload
+        Sampling period [s] and largest load [kg].
+    checks
+        Of the handed-over graph.
+    files
+        Files of the folder, each with what it is.
+    log
+        The log from which the servo was identified; empty without one.
+    """
+
+    outcome: Outcome
+    reason: str
+    folder: Path
+    robot: str
+    clock: float
+    payload: float
+    ranking: Ranking | None = None
+    chosen: Candidate | None = None
+    other: Candidate | None = None
+    checks: Sequence[Check] = ()
+    files: Sequence[tuple[str, str]] = ()
+    command: str = ""
+    log: str = ""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the errors."""
+        return self.ranking.unit if self.ranking else "mrad"
+
+    @property
+    def graph(self) -> Path | None:
+        """File of the handed-over graph."""
+        return None if self.outcome == "blocked" else self.folder / GRAPH
+
+    @property
+    def report(self) -> Path:
+        """File of the report."""
+        return self.folder / REPORT
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a few words."""
+        law = self.chosen.law if self.chosen else ""
+        among = ", with the servo of its log" if self.log else ", on servos that cover those of manufacturers"
+        return {
+            "adaptive": f"{law}: worth it on {self.robot}{among}",
+            "simple": f"{law}: a simple law is the better choice for {self.robot}{among}",
+            "blocked": f"no controller for {self.robot}",
+        }[self.outcome]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "outcome": self.outcome,
+            "graph": None if self.graph is None else str(self.graph),
+            "report": str(self.report),
+            "error": finite(self.chosen),
+            "rival_error": finite(self.other),
+            "unit": self.unit,
+            "reason": self.reason,
+            "law": self.chosen.law if self.chosen else None,
+            "rival": self.other.law if self.other else None,
+            "clock": self.clock,
+            "payload": self.payload,
+            "checks": [vars(check) for check in self.checks],
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{self.outcome}: {self.headline}", f"  {self.reason}"]
+        lines += [f"  {check.of}: {check.text}" for check in self.checks]
+        lines += [f"  {name:<14} {about}" for name, about in self.files]
+        return "\n".join(lines)
+
+
+def finite(candidate: Candidate | None) -> float | None:
+    """Median error of a law; None if it diverged somewhere or does not exist."""
+    return None if candidate is None or not math.isfinite(candidate.error) else candidate.error

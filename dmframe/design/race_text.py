@@ -1,0 +1,61 @@
+"""The race of a design as a file, which `dmframe race` reads."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from dmframe.catalogue import find_twin
+from dmframe.design.family import Block, Family
+from dmframe.design.motion import Motion
+from dmframe.graph.first import FirstGraph
+from dmframe.identification.race_text import dumped, settings
+
+TEMPLATE: Final = "design_joints"
+FIRST: Final = "first.yaml"
+"""File of the robot's first graph."""
+ADAPTIVE: Final = "adaptive"
+"""Name of the law of the first graph."""
+CHANNEL: Final = "channel"
+"""Name of the channel between controller and robot."""
+COUPLED: Final = 3
+"""Largest number of joints with which the identified model contains the coupling of the joints."""
+
+
+def race_text(first: FirstGraph, family: Family, motion: Motion, clock: float) -> str:
+    """The packaged race of designs with a robot, its plants, its paths and its sampling period.
+
+    Parameters
+    ----------
+    clock
+        Sampling period [s].
+    """
+    from ruamel.yaml import YAML
+
+    graph: Block = YAML(typ="safe").load(first.text)
+    data: Any = YAML().load(find_twin(TEMPLATE).read_text(encoding="utf-8"))
+    data["robot"], data["start"], data["clocks"] = graph["robot"], {"q": motion.start}, [clock]
+    data["plants"], data["paths"] = dict(family.plants), dict(motion.paths)
+    data["training"]["plants"] = list(family.training)
+    data["realities"] = {CHANNEL: family.channel}
+    entrant = data["laws"][data["entrant"]]
+    coupled = len(motion.start) <= COUPLED
+    entrant["set"] = {
+        **entrant["set"],
+        "inverse.dynamics": "robot" if coupled else "joints",
+        **settings(clock, family.late),
+    }
+    Gamma = float(graph["blocks"]["dynamics"]["Gamma"])
+    ranges = {
+        "task.alpha_bar": [1, 10],
+        "inverse.K_c": [0.3, 5],
+        "dynamics.Gamma": [float(f"{factor * Gamma:.4g}") for factor in (0.03, 3)],
+    }
+    data["laws"][ADAPTIVE] = {"graph": FIRST, "tune": ranges}
+    return dumped(data)
+
+
+def duration_of() -> float:
+    """Duration of the runs [s]."""
+    from ruamel.yaml import YAML
+
+    return float(str(YAML(typ="safe").load(find_twin(TEMPLATE).read_text(encoding="utf-8"))["duration"]).split()[0])
