@@ -185,7 +185,7 @@ def test_the_translations_of_the_kinematics_are_kept_in_a_ball_too() -> None:
     [
         (
             ["dynamics.a_d_hat_ball=[0, 3]", "dynamics.a_d_hat_box=[-1, 3]"],
-            "dynamics: expected one of a_d_hat_box and a_d_hat_ball, found both; a_d_hat_box: null takes the box away",
+            "dynamics: expected one of a_d_hat_box and a_d_hat_ball, found both; a_d_hat_box: null removes the box",
         ),
         (["dynamics.a_d_hat_ball=[0, -3]"], "dynamics.a_d_hat_ball: expected a radius > 0, found [0, -3]"),
         (["dynamics.a_d_hat_ball=3"], "dynamics.a_d_hat_ball: expected a ball [centre, radius], found 3"),

@@ -99,12 +99,12 @@ def test_the_direct_adaptation_needs_a_nominal_model(tmp_path: Path) -> None:
         (
             "torque_direct_pid",
             "{type: pi_servo, K_P: [60, 30], K_I: [240, 120]}",
-            "pid_torque_inverse expects servo.K_P in V/rad, found V s/rad; it does not go with servo (pi_servo)",
+            "pid_torque_inverse expects servo.K_P in V/rad, found V s/rad; it is incompatible with servo (pi_servo)",
         ),
         (
             "torque_direct_pi",
             "{type: pid_servo, K_D: 60, K_P: 180, K_I: 60}",
-            "pi_torque_inverse expects servo.K_P in V s/rad, found V/rad; it does not go with servo (pid_servo)",
+            "pi_torque_inverse expects servo.K_P in V s/rad, found V/rad; it is incompatible with servo (pid_servo)",
         ),
     ],
 )

@@ -129,7 +129,9 @@ def test_every_block_with_equations_of_motion_and_a_certificate_is_in_a_closed_l
     continuous = {k: b for k, b in answering.items() if not any(s.sampled for s in b.states)}
     channels = {kind for kind, block in continuous.items() if any(port.instead_of for port in block.outputs)}
     # they have no certificate
-    assert continuous.keys() - held() - channels == {"kinematic_command", "sampled_tracking", "extended_state_observer"}
+    assert continuous.keys() - held() - channels == {
+        *("kinematic_command", "sampled_tracking", "sampled_joint_tracking", "extended_state_observer"),
+    }
 
 
 def test_the_kinematic_baseline_has_no_certificate_that_a_fault_could_falsify() -> None:

@@ -210,7 +210,7 @@ def test_old_names_must_lead_to_names_that_the_block_has() -> None:
             return Equations()
 
     texts = [fault.text for fault in Wrong.contract("wrong")]
-    assert "wrong: declares old as renamed to c, which is no parameter, state or port; choose from a, b" in texts
+    assert "wrong: declares old renamed to c, which is not a parameter, state or port; choose from a, b" in texts
     assert "wrong: declares a as renamed to b, and still has a" in texts
     assert isinstance(Wrong.contract("wrong")[0], BlockError)
 

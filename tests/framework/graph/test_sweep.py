@@ -142,7 +142,7 @@ def test_limits_may_have_units_and_one_signal_may_be_alone() -> None:
         ({"dynamics.Gamma": ["fast"]}, {}, "Gamma"),
         ({"dynamics.Gamma": np.array(3)}, {}, "values dynamics.Gamma: expected a list of values"),
         ({5: [1]}, {}, "values: expected values by name"),
-        ({"dynamics.Gamma": [1], "blocks.dynamics.Gamma": [2]}, {}, "are the same parameter; leave one out"),
+        ({"dynamics.Gamma": [1], "blocks.dynamics.Gamma": [2]}, {}, "are the same parameter; remove one"),
         ({"dynamics.Gamma": range(1, 10**5), "servo.K_P": range(1, 10**5)}, {}, "found 9999800001; take fewer"),
         ({"dynamics.Gamma": [1]}, {"signals": 5}, 'signals: expected names such as ["servo.u"], found 5'),
         ({"dynamics.Gamma": [1]}, {"signals": [["servo.u"]]}, "signals: expected names"),
