@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from hashlib import sha256
@@ -17,7 +18,7 @@ from dmframe.common.files import write_text, writing
 from dmframe.common.units import plain
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, worth
-from dmframe.design.designed import GRAPH, REPORT, SUMMARY, Check, Designed, finite
+from dmframe.design.designed import GRAPH, SUMMARY, Check, Designed
 from dmframe.design.family import Family, identified, makers
 from dmframe.design.motion import NEVER, motion_of
 from dmframe.design.race_text import ADAPTIVE, FIRST, duration_of, race_text
@@ -36,7 +37,6 @@ from dmframe.study.packing import write_graph
 
 RACE: Final = "race.yaml"
 RESULTS: Final = "race"
-RIVAL: Final = "rival.yaml"
 PAGE: Final = "page.html"
 CONTROLLER: Final = "controller"
 REHEARSALS: Final = "rehearsals"
@@ -47,6 +47,8 @@ TWIN: Final = "twin.urdf"
 """The identified robot."""
 LOAD: Final = ("payload", "payload_at")
 """Parameters of the arm that the handed-over graph does not have."""
+LIMIT: Final = 0.1
+"""Largest error of a simple law in a rehearsal, that above which a run of the race counts as diverged [rad]."""
 REHEARSED: Final = 40.0
 """Duration of the rehearsal's runs [s]."""
 
@@ -179,7 +181,10 @@ def _checks(graph: Graph, candidate: Candidate, found: Designed, say: Say) -> It
 
 
 def _rehearsed(graph: Graph, candidate: Candidate, found: Designed) -> Check:
-    """A rehearsal, which is kept in the folder; a simple law passes if it is not stopped under any condition."""
+    """A rehearsal, which is kept in the folder.
+
+    A simple law passes if it is not stopped and its error is at most `LIMIT`.
+    """
     key = sha256(f"{graph.text}{found.payload}".encode()).hexdigest()
     file = found.folder / REHEARSALS / f"{candidate.law}_{key[:8]}.json"
     kept = _kept(file, key)
@@ -193,9 +198,14 @@ def _rehearsed(graph: Graph, candidate: Candidate, found: Designed) -> Check:
     if candidate.adaptive or kept["passed"]:
         passed = bool(kept["passed"])
         return Check("rehearsal", "passed under all conditions" if passed else _failure(kept), passed)
-    stopped = [row for row in kept["conditions"] if row["needed"] and row["rms"] is None]
-    text = f"stopped with {stopped[0]['condition']}" if stopped else "not stopped under any of its conditions"
-    return Check("rehearsal", f"{candidate.law} is {text}", not stopped)
+    lost = [row for row in kept["conditions"] if row["needed"] and (row["rms"] is None or not row["rms"] <= LIMIT)]
+    if lost:
+        how = "is stopped" if lost[0]["rms"] is None else f"has an error of {plain(lost[0]['rms'], kept['unit'])}"
+        return Check("rehearsal", f"{candidate.law} {how} with {lost[0]['condition']}", passed=False)
+    text = (
+        f"{candidate.law} is not stopped, and its error is at most {plain(LIMIT, kept['unit'])}, under all conditions"
+    )
+    return Check("rehearsal", f"{text}; as a controller for a drive {_failure(kept)}", passed=True)
 
 
 def _failure(kept: dict[str, Any]) -> str:
@@ -218,6 +228,8 @@ def _handed_over(
 ) -> Designed:
     """Write the graph, its page and its C code."""
     folder = found.folder
+    if not (folder / GRAPH).is_file() or (folder / GRAPH).read_text(encoding="utf-8") != graph.text:
+        shutil.rmtree(folder / CONTROLLER, ignore_errors=True)  # the code of another graph
     write_graph(graph, folder / GRAPH)
     files = [(GRAPH, "the controller on the nominal servo: run, verify, analyse, rehearse, drive")]
     saved = Graph.read(folder / GRAPH)
@@ -287,6 +299,3 @@ def _write(found: Designed) -> None:
 
     write_text(found.report, as_html(found))
     write_text(found.folder / SUMMARY, json.dumps(found.summary, indent=1) + "\n")
-
-
-__all__ = ["REPORT", "command_of", "commands", "design", "finite"]

@@ -34,7 +34,8 @@ class Designed:
     Parameters
     ----------
     outcome
-        ``adaptive``: an adaptive law, proved and rehearsed; ``simple``: a tuned law without a model, rehearsed;
+        ``adaptive``: an adaptive law, proved and rehearsed; ``simple``: a tuned law without a model that is not
+        stopped in a rehearsal;
         ``blocked``: nothing is handed over.
     reason
         One sentence.
@@ -83,7 +84,7 @@ class Designed:
     def headline(self) -> str:
         """The verdict in a few words."""
         law = self.chosen.law if self.chosen else ""
-        among = ", with the servo of its log" if self.log else ", on servos that cover those of manufacturers"
+        among = ", with the servo of its log" if self.log else ", on an assumed family of servos"
         return {
             "adaptive": f"{law}: worth it on {self.robot}{among}",
             "simple": f"{law}: a simple law is the better choice for {self.robot}{among}",

@@ -1,6 +1,6 @@
 """Plants on which laws are tuned and judged: servos as manufacturers sell them, or draws of an identified one.
 
-Without a log the servo is unknown, so the family covers a PID position servo and a cascade with and without velocity
+Without a log the servo is unknown, so the family contains a PID position servo and a cascade with and without velocity
 feed-forward, of half to three times the stiffness of the first graph's placeholder, with up to twice its friction, up
 to one sample of delay besides that of the channel, and a load that is picked up after half of the time.
 """

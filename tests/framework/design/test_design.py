@@ -135,6 +135,39 @@ def test_a_robot_that_is_no_arm_is_blocked_and_an_unknown_one_is_an_error(tmp_pa
     assert json.loads((tmp_path / "few" / "design.json").read_text())["outcome"] == "blocked"
 
 
+class Rehearsing:
+    """A graph whose rehearsal has given errors [rad]; None for a run that was stopped."""
+
+    text = "a graph"
+
+    def __init__(self, *errors: float | None) -> None:
+        rows = [{"condition": f"c{k}", "needed": True, "rms": rms, "why": "worse"} for k, rms in enumerate(errors)]
+        self.summary = {"passed": False, "unit": "rad", "sentence": "", "conditions": rows}
+
+    def rehearse(self, *_: float, **__: float) -> Rehearsing:
+        return self
+
+
+@pytest.mark.parametrize(
+    ("errors", "passed", "text"),
+    [
+        ((0.01, 0.09), True, "fails the rehearsal with c0"),
+        ((0.01, 0.2), False, "has an error of 200 mrad with c1"),
+        ((0.01, None), False, "is stopped with c1"),
+        ((0.01, math.nan), False, "with c1"),
+    ],
+)
+def test_a_simple_law_that_diverges_in_a_rehearsal_is_not_handed_over(
+    errors: tuple[float | None, ...], passed: bool, text: str, tmp_path: Path
+) -> None:
+    found = module.Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    check = module._rehearsed(Rehearsing(*errors), candidate("level", [1.0]), found)  # type: ignore[arg-type]
+    assert check.passed is passed
+    assert text in check.text
+    adaptive = candidate("experts", [1.0], adaptive=True)
+    assert not module._rehearsed(Rehearsing(*errors), adaptive, found).passed  # type: ignore[arg-type]
+
+
 def test_without_a_compiler_it_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "find_compiler", lambda: None)
     found = module.design(Request.of("so101"), tmp_path)
