@@ -30,25 +30,8 @@ from dmframe.formula.matrices import (
 
 _TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
 _BLANK: Final = (
-    "\\,",
-    "\\;",
-    "\\!",
-    "\\:",
     "\\ ",
-    "\\quad",
-    "\\qquad",
-    "\\left",
-    "\\right",
-    "\\middle",
-    "\\big",
-    "\\Big",
-    "\\bigl",
-    "\\bigr",
-    "\\Bigl",
-    "\\Bigr",
-    "\\cdot",
-    "~",
-    "&",
+    *r"\, \; \! \: \quad \qquad \left \right \middle \big \Big \bigl \bigr \Bigl \Bigr \cdot ~ &".split(),
 )
 _BARS: Final = dict.fromkeys(("\\lVert", "\\rVert", "\\lvert", "\\rvert", "\\Vert", "\\vert", "\\|"), "|")
 """Other delimiters of a norm."""

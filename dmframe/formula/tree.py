@@ -309,9 +309,8 @@ def matrix_multiply(left: Node, right: Node, shape: Shape) -> Node:
     """A matrix times a matrix or a column."""
     one, other = product_of(left), product_of(right)
     # an elementwise divisor applies to its own factor only
-    return _chain(
-        one if _plain(one.below) else _bracketed(one), other if _plain(other.below) else _bracketed(other), shape
-    )
+    one, other = (side if _plain(side.below) else _bracketed(side) for side in (one, other))
+    return _chain(one, other, shape)
 
 
 def divide(left: Node, right: Node, shape: Shape) -> Node:
