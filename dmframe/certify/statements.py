@@ -176,6 +176,18 @@ def _vectors(claim: Claim) -> dict[Text, SX]:
     return found
 
 
+def signals_of(claim: Claim) -> dict[Text, SX]:
+    """The signals that conclusions name, by name: vectors of the certificates, states of the plant, and rates."""
+    known = _vectors(claim)
+    found = known | {_state_name(claim, variable, known): variable.symbol for variable in claim.loop.plant}
+    for name, vector in list(found.items()):
+        rate = slope(claim, vector)
+        if rate is not None:
+            found.setdefault(_rate_of(name), rate)
+            found.setdefault(_rate_name(claim, name, rate), rate)
+    return found
+
+
 def _states(claim: Claim, closure: Closure, stated: set[str]) -> list[Statement]:
     """Bounded states of the plant, each by its name in the equations."""
     known = _vectors(claim)
