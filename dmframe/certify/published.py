@@ -21,7 +21,7 @@ from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import body_matrix, is_matrix
 from dmframe.certify.limits import full_rank
-from dmframe.certify.statements import signals_of
+from dmframe.certify.statements import linear_subsystems, signals_of
 from dmframe.certify.symbols import exact_values
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
@@ -89,8 +89,10 @@ class _Writer:
             "about": dict(about),
             "over": claim.operator,
             "terms": [term for *_, term in terms],
-            "rates": {label: self._id(out) for label, out in (claim.moved if of.over_samples else rates).items()},
         }
+        moved = dict(claim.moved) if of.over_samples else rates
+        self._moving = moved.keys()
+        found["rates"] = {label: self._id(out) for label, out in moved.items()}
         places = {(block, role, at): k for k, (block, role, at, _) in enumerate(terms)}
         if of.over_samples:
             found |= self._over_samples(claim)
@@ -101,7 +103,7 @@ class _Writer:
         found["assumed"] = [str(item.text) for item in self._verdict.assumptions]
         symbols, program, vectors = self._program(claim)
         numbers = exact_values(of.diagram)
-        labels = {item["label"] for item in symbols}
+        labels = {item["label"] for item in symbols if item["kind"] == "parameter"}
         found |= {"symbols": symbols, "program": program, "vectors": vectors}
         found["numbers"] = {k: [str(x) for x in values] for k, values in numbers.items() if k in labels}
         return found
@@ -210,9 +212,7 @@ class _Writer:
         found: dict[str, Any] = {"conditions": list(map(self._condition, self._verdict.conditions))}
         if not of.over_samples:
             found["masses"] = list(self._masses())
-            found["linear"] = [
-                self._linear(item) for part in of.parts for item in part.certificate.linear if not item.inputs
-            ]
+            found["linear"] = [self._linear(item) for _, item in linear_subsystems(of) if not item.inputs]
             found["ranks"] = [
                 {"name": str(name), "matrix": self._vector(f"{name}, full rank", R)} for name, R in full_rank(of)
             ]
@@ -294,6 +294,8 @@ class _Writer:
             own: dict[str, Any] = {"signal": str(item.signal), "says": item.says, "step": str(item.step)}
             if item.signal in signals:
                 own["vector"] = self._vector(f"signal {item.signal}", signals[item.signal])
+            if item.estimate:
+                own["estimate"] = item.estimate
             own["assumes"] = [str(text) for text in item.assumes]
             found.append(own)
         return found
@@ -363,6 +365,7 @@ class _Writer:
     def _labels(self, claim: data.Claim) -> set[str]:
         """Labels that the file's statements name."""
         states = {symbol.label for symbol in claim.symbols if symbol.kind in ("state", "time", "weight")}
+        states |= self._moving
         return states | {item["correction"] for _, item in self._projected} | set(claim.moves)
 
     def _instructions(
