@@ -8,9 +8,10 @@ contains no derivative and no value of V.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import casadi as ca
@@ -22,10 +23,12 @@ from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import body_matrix, is_matrix
 from dmframe.certify.limits import full_rank
 from dmframe.certify.statements import linear_subsystems, signals_of
-from dmframe.certify.symbols import exact_values
+from dmframe.certify.symbols import exact_values, symbols_of
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
 from dmframe.diagram.projection import Box
+from dmframe.diagram.view import view
+from dmframe.exact.rational import Interval
 from dmframe.program import CONST, INPUT, OPERATIONS, Program, shared
 from dmframe.prove import claim as data
 
@@ -46,16 +49,21 @@ PARTS: Final = {
 """Fields from which the checker forms a term; a square has its parts in the claim."""
 
 
-def certificate_text(verdict: Verdict, about: Mapping[str, str]) -> str:
-    """The file. Raises `ValueFault` for a verdict without a claim."""
-    return json.dumps(certificate_of(verdict, about), separators=(",", ":"), ensure_ascii=False) + "\n"
+Intervals = Mapping[str, Sequence[Interval]]
 
 
-def certificate_of(verdict: Verdict, about: Mapping[str, str]) -> dict[str, Any]:
+def certificate_text(verdict: Verdict, about: Mapping[str, str], uncertain: Intervals = MappingProxyType({})) -> str:
+    """The file, with the intervals of uncertain parameters. Raises `ValueFault` for a graph that is not proved."""
+    return json.dumps(certificate_of(verdict, about, uncertain), separators=(",", ":"), ensure_ascii=False) + "\n"
+
+
+def certificate_of(
+    verdict: Verdict, about: Mapping[str, str], uncertain: Intervals = MappingProxyType({})
+) -> dict[str, Any]:
     """Content of the file, as JSON data."""
     if verdict.claim is None or verdict.exact is None or verdict.outcome != "proved":
         raise ValueFault(f"a certificate: expected a proved graph, found {verdict.outcome}: {verdict.reason}")
-    return _Writer(verdict.claim, verdict).content(about)
+    return _Writer(verdict.claim, verdict, uncertain).content(about)
 
 
 def certificate_schema() -> dict[str, Any]:
@@ -69,8 +77,8 @@ def certificate_schema() -> dict[str, Any]:
 class _Writer:
     """Collects the vectors that the file's statements refer to."""
 
-    def __init__(self, claim: Claim, verdict: Verdict) -> None:
-        self._of, self._verdict = claim, verdict
+    def __init__(self, claim: Claim, verdict: Verdict, uncertain: Intervals) -> None:
+        self._of, self._verdict, self._uncertain = claim, verdict, uncertain
         self._more = dict[str, SX]()
         self._named = dict[str, str | int]()
         self._used = list[str]()
@@ -102,10 +110,11 @@ class _Writer:
         found |= {name: self._with_ids(items) for name, items in own.items()}
         found["assumed"] = [str(item.text) for item in self._verdict.assumptions]
         symbols, program, vectors = self._program(claim)
-        numbers = exact_values(of.diagram)
+        numbers = {label: [str(x) for x in values] for label, values in exact_values(of.diagram).items()}
+        numbers |= {label: [[str(x.lower), str(x.upper)] for x in given] for label, given in self._uncertain.items()}
         labels = {item["label"] for item in symbols if item["kind"] == "parameter"}
         found |= {"symbols": symbols, "program": program, "vectors": vectors}
-        found["numbers"] = {k: [str(x) for x in values] for k, values in numbers.items() if k in labels}
+        found["numbers"] = {label: values for label, values in numbers.items() if label in labels}
         return found
 
     def _vector(self, name: str, expression: Any) -> str:
@@ -258,6 +267,7 @@ class _Writer:
                             "translations": self._vector("translations", robot.a_k),
                             "inertia": self._vector("inertia", inertia),
                             "rotors": None if rotors.is_zero() else self._vector("rotors", rotors),
+                            "motion": self._motion(q, robot, inertia),
                             "joints": [
                                 {
                                     "kind": joint.kind,
@@ -267,6 +277,33 @@ class _Writer:
                                 for joint in robot.chain.joints
                             ],
                         }
+
+    def _motion(self, q: SX, robot: Any, inertia: SX) -> dict[str, str] | None:
+        """The robot's equation of motion: the torque of servo, environment and friction; None for another plant."""
+        of = self._of
+        for name, model in of.diagram.models.items():
+            outputs = set(model.equations.outputs)
+            if model.robot is not robot or not {"q", "dq", "ddq", "K", "B", "D"} <= outputs:
+                continue
+            seen = view(of.diagram, name, of.truths).u
+            out = {key: of.diagram.resolver.output(name, key) for key in ("q", "dq", "ddq", "K", "B", "D")}
+            share = of.diagram.resolver.output(name, "g_share") if "g_share" in outputs else ca.SX(1)
+            torque = out["K"] * seen.u - out["B"] * out["dq"] - out["D"] * robot.coulomb(out["dq"])
+            torque = torque + (seen.tau_ext if "tau_ext" in seen else 0)
+            names = ("velocity", "acceleration", "gravity", "torque", "position")
+            wanted = (out["dq"], out["ddq"], share * robot.gravity, torque, out["q"])
+            velocity, acceleration, gravity, torque, position = of.loop.joined(list(wanted))
+            if not ca.is_equal(position, q, 2):
+                continue
+            (share,) = of.loop.joined([share])
+            moved = robot.inverse_dynamics(q, velocity, velocity, acceleration, inertia, gravity_share=share)
+            if "I_r" in outputs:
+                moved = moved + of.loop.joined([of.diagram.resolver.output(name, "I_r")])[0] * acceleration
+            if not symbols_of(of).vanishes("motion", moved - torque, trials=1):
+                return None
+            found = zip(names, (velocity, acceleration, gravity, torque), strict=False)
+            return {key: self._vector(f"{name}: {key}", value) for key, value in found}
+        return None
 
     def _linear(self, item: StableLinear) -> dict[str, Any]:
         joined = self._of.loop.joined

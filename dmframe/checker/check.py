@@ -33,6 +33,10 @@ UNARY = set("neg sq twice inv sin cos tanh atan sqrt exp log fabs sign floor cei
             "acosh atanh erf erfinv expm1 log1p".split())  # fmt: skip
 BINARY = set("add sub mul div pow constpow fmin fmax lt le eq ne and or if_else_zero atan2 hypot copysign fmod "
              "remainder".split())  # fmt: skip
+BELIEVED = (
+    "signals have the names of the file; its rates and next values are those of the loop that runs",
+    "trajectories and their derivatives are bounded; denominators, and arguments of roots and logarithms, stay away from 0",
+)
 BOUNDED = set("sin cos tanh atan atan2 sign lt le eq ne not and or erf".split())
 
 
@@ -298,7 +302,7 @@ def keys(item, text, names, optional=()):
 LISTS = {
     "cross": ("term", "by"),
     "projections": ("term", "state", "correction", "set", "true", "lower", "upper"),
-    "masses": ("weight", "position", "translations", "inertia", "rotors", "joints"),
+    "masses": ("weight", "position", "translations", "inertia", "rotors", "joints", "motion"),
     "linear": ("vectors", "rates", "bounded"),
     "ranks": ("name", "matrix"),
     "conditions": ("name", "text", "margin", "strict"),
@@ -329,7 +333,7 @@ class Certificate:
         top = ("format", "version", "about", "over", "symbols", "numbers", "program", "vectors", "rates", "terms")
         keys(data, "the file", top, (*LISTS, "assumed", "between", "solved"))
         need(data["format"] == "dmframe-certificate", "format: expected dmframe-certificate")
-        need(data["version"] == 1 and data["version"] is not True, "version: expected 1")
+        whole(data["version"], 1, 2, "version")
         need(data["over"] in ("flow", "sample"), "over: expected flow or sample")
         self.samples = data["over"] == "sample"
         self.labels, self.kinds, self.sizes, self.fixed = {}, [], [], {}
@@ -407,6 +411,9 @@ class Certificate:
     def kind(self, label):
         need(label in self.labels, f"unknown symbol {label!r}")
         return self.kinds[self.labels[label]]
+
+    def term(self, k):
+        return self.terms[whole(k, 0, len(self.terms), "a term")]
 
     def elements(self, k):
         return self.vectors[whole(k, 0, len(self.vectors), "a vector")][1]
@@ -565,41 +572,73 @@ def term_value(point, term):
     return (base.random(), base.mul(part["weight"][0][0], total))
 
 
-def mass_matrix(point, item):
-    """sum_i J_i' I_i J_i + diag(rotors) of a chain of bodies, column by column, with velocities in the links' frames.
+class Chain:
+    """A chain of rigid bodies: forces by the recursion of Newton and Euler, in the links' frames.
 
     `translations` are those of each joint in its parent's frame; `inertia` holds, of each link, m, m c (3), and I_xx,
     I_xy, I_yy, I_xz, I_yz, I_zz about the joint's origin; `joints` hold the kind, the axis and the rotation at q = 0.
     """
-    ring = point.ring
-    q, moves, inertia = (point.vector(item[name]) for name in ("position", "translations", "inertia"))
-    n, zero = len(q), ring.number(0)
-    jacobian, found = [], [[zero] * n for _ in range(n)]  # (angular, linear) velocity of the link for each joint
-    for i, joint in enumerate(item["joints"]):
-        axis, flat = ([ring.number(rational(x)) for x in joint[name]] for name in ("axis", "rotation"))
-        R, origin = [flat[0:3], flat[3:6], flat[6:9]], moves[3 * i : 3 * i + 3]
-        if joint["kind"] == "revolute":
-            turn = list(zip(*rotation(ring, axis, q[i])))
-            R, new = [[dot(ring, row, column) for column in turn] for row in R], (axis, [zero] * 3)
-        else:
-            need(joint["kind"] == "prismatic", "a joint: expected revolute or prismatic")
-            shift = [dot(ring, row, [ring.mul(a, q[i]) for a in axis]) for row in R]
-            origin, new = [ring.add(a, b) for a, b in zip(origin, shift)], ([zero] * 3, axis)
-        back = list(zip(*R))
-        for k, (w, v) in enumerate(jacobian):
-            at = [ring.add(a, b) for a, b in zip(v, across(ring, w, origin))]
-            jacobian[k] = tuple([dot(ring, row, x) for row in back] for x in (w, at))
-        jacobian.append(new)
-        m, hx, hy, hz, xx, xy, yy, xz, yz, zz = inertia[10 * i : 10 * i + 10]
-        h, I = (hx, hy, hz), ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-        for k, (w, v) in enumerate(jacobian):  # angular momentum I w + h x v, momentum m v + w x h
-            angular = [ring.add(dot(ring, row, w), b) for row, b in zip(I, across(ring, h, v))]
-            linear = [ring.add(ring.mul(m, a), b) for a, b in zip(v, across(ring, w, h))]
-            for j, (a, b) in enumerate(jacobian):
-                found[j][k] = ring.add(found[j][k], ring.add(dot(ring, a, angular), dot(ring, b, linear)))
-    for i, rotor in enumerate(spread(point.vector(item["rotors"]), n) if item["rotors"] is not None else []):
-        found[i][i] = ring.add(found[i][i], rotor)
-    return [found[i][j] for j in range(n) for i in range(n)]
+
+    def __init__(self, point, item):
+        self.ring = ring = point.ring
+        q, moves, self.inertia = (point.vector(item[name]) for name in ("position", "translations", "inertia"))
+        self.joints, self.zero = [], [ring.number(0)] * 3
+        self.rotors = self.zero[:1] * len(q) if item["rotors"] is None else spread(point.vector(item["rotors"]), len(q))
+        for i, joint in enumerate(item["joints"]):
+            need(joint["kind"] in ("revolute", "prismatic"), "a joint: expected revolute or prismatic")
+            axis, flat = ([ring.number(rational(x)) for x in joint[name]] for name in ("axis", "rotation"))
+            R, origin, turns = [flat[0:3], flat[3:6], flat[6:9]], moves[3 * i : 3 * i + 3], joint["kind"] == "revolute"
+            if turns:
+                R = [[dot(ring, row, column) for column in zip(*rotation(ring, axis, q[i]))] for row in R]
+            else:
+                origin = plus(ring, origin, [dot(ring, row, [ring.mul(a, q[i]) for a in axis]) for row in R])
+            self.joints.append((turns, axis, R, origin))
+        need(len(self.joints) == len(q), "a chain: one joint for each position")
+
+    def forces(self, dq, ddq, gravity):
+        """Torques, and forces of prismatic joints: M(q) ddq + C(q, dq) dq + g, with the rotors' inertia in M."""
+        ring = self.ring
+        w, dw, acceleration, links = self.zero, self.zero, minus(ring, self.zero, gravity), []
+        for i, (turns, axis, R, origin) in enumerate(self.joints):
+            inner = across(ring, w, across(ring, w, origin))
+            acceleration = plus(ring, acceleration, plus(ring, across(ring, dw, origin), inner))
+            w, dw, acceleration = ([dot(ring, row, x) for row in zip(*R)] for x in (w, dw, acceleration))
+            along, pushed = ([ring.mul(a, x) for a in axis] for x in (dq[i], ddq[i]))
+            turning = across(ring, w, along)
+            if turns:
+                w, dw = plus(ring, w, along), plus(ring, dw, plus(ring, pushed, turning))
+            else:
+                acceleration = plus(ring, acceleration, plus(ring, pushed, plus(ring, turning, turning)))
+            m, hx, hy, hz, xx, xy, yy, xz, yz, zz = self.inertia[10 * i : 10 * i + 10]
+            h, tensor = (hx, hy, hz), ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+            Iw, Idw = ([dot(ring, row, x) for row in tensor] for x in (w, dw))
+            force = plus(ring, [ring.mul(m, x) for x in acceleration], across(ring, dw, h))
+            force = plus(ring, force, across(ring, w, across(ring, w, h)))
+            moment = plus(ring, Idw, plus(ring, across(ring, w, Iw), across(ring, h, acceleration)))
+            links.append((force, moment))
+        found, force, moment = [], self.zero, self.zero  # of the links beyond, in the parent's frame
+        for i in range(len(links) - 1, -1, -1):
+            (turns, axis, R, origin), own = self.joints[i], links[i]
+            force, moment = plus(ring, own[0], force), plus(ring, own[1], moment)
+            found.insert(0, ring.add(dot(ring, axis, moment if turns else force), ring.mul(self.rotors[i], ddq[i])))
+            force, moment = ([dot(ring, row, x) for row in R] for x in (force, moment))
+            moment = plus(ring, moment, across(ring, origin, force))
+        return found
+
+    def equalities(self, point, item):
+        """The weight is the mass matrix, column by column, and the acceleration that of the exported torque."""
+        ring, n = self.ring, len(self.joints)
+        still, unit = self.zero[:1] * n, [[ring.number(int(i == k)) for i in range(n)] for k in range(n)]
+        columns = [x for k in range(n) for x in self.forces(still, unit[k], self.zero)]
+        yield "the mass matrix", minus(ring, point.vector(item["weight"]), columns)
+        if item["motion"] is not None:
+            names = ("velocity", "acceleration", "gravity", "torque")
+            velocity, acceleration, gravity, torque = (point.vector(item["motion"][name]) for name in names)
+            yield "the robot's equation of motion", minus(ring, self.forces(velocity, acceleration, gravity), torque)
+
+
+def plus(ring, left, right):
+    return [ring.add(a, b) for a, b in zip(left, right, strict=True)]
 
 
 def across(ring, a, b):
@@ -736,11 +775,13 @@ def in_flow(of, ring, inputs):
             total = sign(total, ring.mul(weight, term_value(plain, term)))
     yield "V", [V]
     for item in of.projections:  # (estimate - true value)' W correction
-        term, correction = of.terms[item["term"]], inputs[of.labels[item["correction"]]]
+        term, correction, name = of.term(item["term"]), inputs[of.labels[item["correction"]]], item["state"]
+        need(item["correction"] == f"{name}, correction" and of.kind(name) == "state", f"{name}: its projection")
+        need(of.kind(item["correction"]) == "projection" and term["rule"] == "square", f"{name}: its projection")
         error, metric, true = (plain.vector(k) for k in (term["parts"]["vector"], term["parts"]["weight"], item["true"]))
         weight = inputs[of.labels[term["level"]]][0] if term["level"] else ring.number(1)
         total = ring.sub(total, ring.mul(weight, dot(ring, times(ring, metric, error), correction)))
-        estimate, name = inputs[of.labels[item["state"]]], item["state"]
+        estimate = inputs[of.labels[name]]
         yield f"the error of {name}", minus(ring, error, minus(ring, estimate, spread(true, len(estimate))))
         yield f"the rate of the true value of {name}", rates(ring, point.vector(item["true"]))
         nominal = list(inputs)
@@ -749,9 +790,9 @@ def in_flow(of, ring, inputs):
         yield f"the rate of {name}", minus(ring, minus(ring, plain.vector(of.rates[name]), without), correction)
     yield "dV/dt", [total]
     for cross in of.cross:  # a = sum_j share_j v_j
-        left = plain.vector(of.terms[cross["term"]]["parts"]["vector"])
+        left = plain.vector(of.term(cross["term"])["parts"]["vector"])
         for share, k in cross["by"]:
-            v = plain.vector(of.terms[k]["parts"]["vector"])
+            v = plain.vector(of.term(k)["parts"]["vector"])
             left = minus(ring, left, [ring.mul(x, y) for x, y in zip(spread(plain.vector(share), len(v)), v)])
         yield "the vector of a cross term", left
     for term in of.terms:
@@ -768,7 +809,7 @@ def in_flow(of, ring, inputs):
             A = plain.matrix(parts[name])
             yield f"symmetry of {term['name']}", [ring.sub(A[i][j], A[j][i]) for i in range(len(A)) for j in range(i)]
     for item in of.masses:
-        yield "the mass matrix", minus(ring, plain.vector(item["weight"]), mass_matrix(plain, item))
+        yield from Chain(plain, item).equalities(plain, item)
 
 
 def over_samples(of, ring, inputs):
@@ -875,7 +916,7 @@ class Signs:
         sign = self.sign(part["weight"], len(self.of.elements(part["vector"])) if rule == "square" else 0)
         if rule == "square" and sign < 0:
             for item in self.of.masses:
-                if self.of.vectors[item["weight"]] == self.of.vectors[part["weight"]]:
+                if self.of.elements(item["weight"]) == self.of.elements(part["weight"]):
                     return self.mass(item)
             if "assumed" in term:
                 self.believed.append(f"{name}: its weight is positive: {term['assumed']}")
@@ -916,7 +957,8 @@ class Signs:
                     raise Refuted(f"{term['name']}: the sign of its weight is wrong, or not shown")
                 strict |= {k} if sign == 1 else set()
         for item in of.projections:
-            name, term = item["state"], of.terms[item["term"]]
+            name, term = item["state"], of.term(item["term"])
+            self.believed.append(f"{name}: it starts inside its {item['set']}, and the law that runs is this projection")
             if item["set"] == "box":
                 size = len(of.elements(item["true"]))
                 diagonal = term["rule"] == "square" and len(of.elements(term["parts"]["weight"])) in (1, size)
@@ -947,18 +989,18 @@ class Signs:
         """
         of, ring, needed, total = self.of, self.ring, {}, None
         for cross in of.cross:
-            c, size = self.vector(of.terms[cross["term"]]["parts"]["weight"]), None
+            c, size = self.vector(of.term(cross["term"])["parts"]["weight"]), None
             for share, k in cross["by"]:
-                term, a = of.terms[k], self.vector(share)
+                term, a = of.term(k), self.vector(share)
                 W, size = self.vector(term["parts"]["weight"]), len(of.elements(term["parts"]["vector"]))
                 if k not in strict or term["role"] != "dissipated" or term["rule"] != "square" or None in (a, c, W):
                     raise Refuted("no square with a positive weight of parameters dominates a cross term")
                 each = [ring.mul(ring.mul(x, x), ring.inverse(w)) for x, w in zip(spread(a, size), spread(W, size))]
                 total = each if size is None or share == cross["by"][0][0] else [ring.add(x, y) for x, y in zip(total, each)]
-            used, levels = frozenset(k for _, k in cross["by"]), {of.terms[k]["level"] for _, k in cross["by"]}
+            used, levels = frozenset(k for _, k in cross["by"]), {of.term(k)["level"] for _, k in cross["by"]}
             need(len(used) == len(cross["by"]) and len(levels) == 1, "a cross term: expected squares of one level")
             need(all(used == other or not used & other for other in needed), "cross terms share a part of their squares")
-            need(not of.terms[cross["term"]]["level"], "a cross term: expected the weight 1")
+            need(not of.term(cross["term"])["level"], "a cross term: expected the weight 1")
             needed[used] = needed.get(used, 0) + max(ring.mul(c[0], x)[1] for x in total)
             if not max(levels) and needed[used] >= 1:
                 raise Refuted("the dissipation does not dominate a cross term")
@@ -1108,8 +1150,8 @@ class Conclusions:
         """Closes all directions that bounded signals determine."""
         of, vectors, waiting = self.of, [], list(range(len(self.of.linear)))
         for k in self.strict:
-            if of.terms[k]["role"] == "stored":
-                vectors.append(of.terms[k]["parts"]["matrix" if of.terms[k]["rule"] == "log_det" else "vector"])
+            if of.term(k)["role"] == "stored":
+                vectors.append(of.term(k)["parts"]["matrix" if of.term(k)["rule"] == "log_det" else "vector"])
         for item in of.projections:
             for column in self.rows[item["state"]]:
                 self.known.add([int(column == k) for k in range(self.columns)])
@@ -1248,7 +1290,7 @@ class Conclusions:
         """The conclusions of the file that follow, and the others."""
         shown, left, gone, squares = [], list(self.of.conclusions), [], []
         for k in self.strict:
-            term = self.of.terms[k]
+            term = self.of.term(k)
             squares += [term["parts"]["vector"]] if term["role"] == "dissipated" and term["rule"] == "square" else []
         while True:
             found = next((item for item in left if "vector" in item and self.follows(item, squares, gone)), None)
@@ -1262,11 +1304,26 @@ class Conclusions:
         if item["says"] == "is bounded":
             return self.bounded([("value", item["vector"])])
         if item["says"] == "stays in a compact set of positive definite matrices":
-            terms = [self.of.terms[k] for k in self.strict if self.of.terms[k]["rule"] == "log_det"]
+            terms = [self.of.term(k) for k in self.strict if self.of.term(k)["rule"] == "log_det"]
             return any(self.equal(item["vector"], term["parts"]["matrix"]) for term in terms)
         if item["says"] == "is square-integrable":
             return any(self.equal(item["vector"], other) for other in squares)
         return item["says"] == "goes to zero" and self.vanishes(item["vector"], squares, gone)
+
+
+def robot_text(item):
+    rates = "; its acceleration follows from the torque, for all masses" if item["motion"] is not None else ""
+    return f"a weight is the mass matrix of a chain of {len(item['joints'])} rigid bodies{rates}"
+
+
+def from_steps(of):
+    """What the lemmas of update steps show, whatever the rows are; eta is what the true parameters do not explain."""
+    for steps in of.steps:
+        name, metric = steps["estimate"], "gain^-1" if steps["rule"] == "normalised" else "G + gain^-1"
+        if steps["box"]:
+            yield {"signal": name, "says": "is bounded"}
+        yield {"signal": f"|{name} - true value|^2 in the metric {metric}", "says": "does not rise where eta is zero"}
+        yield {"signal": f"the error of {name} in the direction of its rows", "says": "is square-summable where eta is"}
 
 
 def check(data):
@@ -1277,8 +1334,8 @@ def check(data):
     strict = signs.check()
     kappa, shown, left = signs.kappa(strict), [], of.conclusions
     if of.samples:
-        shown = [item for item in left if item.get("estimate") in [steps["estimate"] for steps in of.steps]]
-        left = [item for item in left if item not in shown]
+        shown = list(from_steps(of))
+        left = [item for item in left if "estimate" not in item]
     elif not any(term["role"] == "residual" for term in of.terms):
         shown, left = Conclusions(of, signs, strict).check()
 
@@ -1290,10 +1347,11 @@ def check(data):
         "statement": "V(next) - V" if of.samples else "dV/dt",
         "log2_error": round(error),
         "points": points,
+        "robot": [robot_text(item) for item in of.masses],
         "kappa_above": None if kappa is None else str(kappa),
         "only_at_exact_values_of": sorted(of.fixed),
         "conclusions": named(shown),
-        "believed": [*dict.fromkeys(signs.believed), *named(left)],
+        "believed": [*BELIEVED, *dict.fromkeys(signs.believed), *named(left)],
         "assumed": of.assumed,
     }
 

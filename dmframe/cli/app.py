@@ -176,6 +176,9 @@ def verify(
     claim: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write the claim that was checked, as JSON.")
     ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=home, help="Write a certificate for independent checkers.")
+    ] = None,
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
     fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported
         bool, typer.Option("--fresh", help="Prove again, even if a verdict for the same inputs is remembered.")
@@ -191,7 +194,8 @@ def verify(
     replay = ["dmframe", "verify", *graph, *(word for text in overrides for word in ("--set", text))]
     found = graphs_of(graph, overrides, trust=trust)
     number = whole("--seed", seed)
-    return verify_graphs(found, report=report, claim=claim, replay=replay, seed=number, as_json=as_json)
+    files = {"claim": claim, "certificate": certificate}
+    return verify_graphs(found, report=report, files=files, replay=replay, seed=number, as_json=as_json)
 
 
 @app.command()
