@@ -35,7 +35,7 @@ BINARY = set("add sub mul div pow constpow fmin fmax lt le eq ne and or if_else_
              "remainder".split())  # fmt: skip
 BELIEVED = (
     "signals have the names of the file; its rates and next values are those of the loop that runs",
-    "trajectories and their derivatives are bounded; denominators, and arguments of roots and logarithms, stay away from 0",
+    "trajectories and their derivatives are bounded; divisors, and arguments of roots and logarithms, stay away from 0",
 )
 BOUNDED = set("sin cos tanh atan atan2 sign lt le eq ne not and or erf".split())
 
@@ -57,12 +57,13 @@ def need(condition, text):
         raise Refused(text)
 
 
-# ---- Rings: numbers with add, sub, mul, inverse, number and call ----------------------------------------------------
+# ---- Rings: numbers with add, sub, mul, inverse, number and call -----------------------------------------------------
 
 
 class Field:
     """Residues modulo a random prime. A function has a random value for each argument: what holds for all values holds
-    for those of the function. sin and cos of one argument are a random point of the unit circle."""
+    for those of the function. sin and cos of one argument are a random point of the unit circle.
+    """
 
     def __init__(self, bits=SIZES[0], p=None):
         self.p, self.known = p or random_prime(bits), {}
@@ -277,14 +278,16 @@ def passes(n, x, twos):
     return False
 
 
-# ---- The file -------------------------------------------------------------------------------------------------------
+# ---- The file --------------------------------------------------------------------------------------------------------
 
 
 def rational(text):
     numerator, slash, denominator = text.partition("/")
-    need(len(text) < 4000 and all(x.isascii() and x.isdigit() for x in (numerator.removeprefix("-"), denominator or "1")),
-         f"expected a whole number or a fraction, found {text:.40}")  # fmt: skip
-    need(not slash or int(denominator), f"expected a denominator above 0, found {text:.40}")
+    digits = numerator.removeprefix("-") + denominator
+    need(
+        len(text) < 4000 and digits.isascii() and digits.isdigit(), f"expected a number as a fraction, found {text:.40}"
+    )
+    need(numerator not in ("", "-") and (not slash or int(denominator)), f"expected a fraction, found {text:.40}")
     return Fraction(int(numerator), int(denominator or 1))
 
 
@@ -303,7 +306,7 @@ LISTS = {
     "cross": ("term", "by"),
     "projections": ("term", "state", "correction", "set", "true", "lower", "upper"),
     "masses": ("weight", "position", "translations", "inertia", "rotors", "joints", "motion"),
-    "linear": ("vectors", "rates", "bounded"),
+    "linear": ("vectors", "rates"),
     "ranks": ("name", "matrix"),
     "conditions": ("name", "text", "margin", "strict"),
     "conclusions": ("signal", "says", "step", "assumes", "vector", "estimate"),
@@ -339,12 +342,17 @@ class Certificate:
         self.labels, self.kinds, self.sizes, self.fixed = {}, [], [], {}
         for item in data["symbols"]:
             self.read_symbol(keys(item, "a symbol", ("label", "kind", "size"), ("values",)))
-        self.nodes = list(self.read_program(keys(data["program"], "program", ("operations", "code", "a", "b", "constants"))))
+        self.nodes = list(
+            self.read_program(keys(data["program"], "program", ("operations", "code", "a", "b", "constants")))
+        )
         self.numbers = {label: self.read_numbers(label, values) for label, values in data["numbers"].items()}
         self.vectors = []
         for rows, elements in data["vectors"]:
-            need(all(-1 <= whole(x, -1, len(self.nodes), "a vector") for x in elements), "a vector")
-            need(len(elements) % whole(rows, 1 if elements else 0, LARGEST, "rows") == 0 if elements else True, "a vector")
+            need(all(whole(x, -1, len(self.nodes), "a vector") >= -1 for x in elements), "a vector")
+            need(
+                len(elements) % whole(rows, 1 if elements else 0, LARGEST, "rows") == 0 if elements else True,
+                "a vector",
+            )
             self.vectors.append((rows, elements))
         for name, known in LISTS.items():
             for item in data.get(name, []):
@@ -355,10 +363,16 @@ class Certificate:
         self.terms = data["terms"]
         for term in self.terms:
             keys(term, "a term", ("name", "level", "role", "rule", "parts"), ("assumed", "phi"))
-            need(term["rule"] in ROLES[term["role"]], f"{term['name']}: unknown rule {term['rule']} of a {term['role']} term")
+            need(
+                term["rule"] in ROLES[term["role"]],
+                f"{term['name']}: unknown rule {term['rule']} of a {term['role']} term",
+            )
             keys(term["parts"], term["name"], PARTS[term["rule"]])
             need(term["level"] == "" or self.kind(term["level"]) == "weight", f"{term['name']}: its level")
-            need(term["rule"] != "monotone" or term["phi"] in ("tanh", "atan"), f"{term['name']}: unknown function {term.get('phi')}")
+            need(
+                term["rule"] != "monotone" or term["phi"] in ("tanh", "atan"),
+                f"{term['name']}: unknown function {term.get('phi')}",
+            )
         stored = [k for term in self.terms if term["role"] == "stored" for k in term["parts"].values()]
         self.stored, need_rate = self.slice(stored), self.reads(stored)
         need(stored or self.steps, "V has no term")
@@ -397,7 +411,10 @@ class Certificate:
     def read_numbers(self, label, values):
         need(self.kind(label) == "parameter", f"{label}: numbers of a {self.kind(label)}")
         found = [tuple(rational(x) for x in (value if isinstance(value, list) else (value, value))) for value in values]
-        need(len(found) == self.sizes[self.labels[label]] and all(low <= high for low, high in found), f"{label}: its numbers")
+        need(
+            len(found) == self.sizes[self.labels[label]] and all(low <= high for low, high in found),
+            f"{label}: its numbers",
+        )
         exact = [(x, x) for x in self.fixed.get(label, [])]
         need(not exact or found == exact, f"{label}: other numbers than its exact values")
         return found
@@ -405,7 +422,10 @@ class Certificate:
     def read_rates(self, given):
         for label, k in given.items():
             kinds = ("state",) if self.samples else ("state", "trajectory")
-            need(self.kind(label) in kinds and len(self.elements(k)) == self.sizes[self.labels[label]], f"the rate of {label}")
+            need(
+                self.kind(label) in kinds and len(self.elements(k)) == self.sizes[self.labels[label]],
+                f"the rate of {label}",
+            )
         return given
 
     def kind(self, label):
@@ -531,11 +551,13 @@ def solve(ring, matrix, columns):
 
 def rates(ring, pairs):
     """Derivatives of dual numbers."""
-    need(all(x[1] is not Duals.NONE for x in pairs), "a derivative that does not exist, or of a function without a rule")
+    need(
+        all(x[1] is not Duals.NONE for x in pairs), "a derivative that does not exist, or of a function without a rule"
+    )
     return [ring.number(0) if x[1] is None else x[1] for x in pairs]
 
 
-# ---- Terms ----------------------------------------------------------------------------------------------------------
+# ---- Terms -----------------------------------------------------------------------------------------------------------
 
 
 def term_value(point, term):
@@ -549,7 +571,9 @@ def term_value(point, term):
         return ring.mul(part["weight"][0], dot(ring, a, [dot(ring, row, a) for row in G]))
     if term["rule"] == "monotone":  # sum w (a - b) (phi(a / v) - phi(b / v))
         n, total = len(part["first"]), ring.number(0)
-        for w, a, b, v in zip(spread(part["weight"], n), part["first"], part["second"], spread(part["scale"], n), strict=True):
+        for w, a, b, v in zip(
+            spread(part["weight"], n), part["first"], part["second"], spread(part["scale"], n), strict=True
+        ):
             phi = [ring.call(None, term["phi"], ring.mul(x, ring.inverse(v))) for x in (a, b)]
             total = ring.add(total, ring.mul(w, ring.mul(ring.sub(a, b), ring.sub(*phi))))
         return total
@@ -646,14 +670,14 @@ def across(ring, a, b):
 
 
 def rotation(ring, a, angle):
-    """cos 1 + sin [a]x + (1 - cos) a a' about the unit vector a."""
+    """Cos 1 + sin [a]x + (1 - cos) a a' about the unit vector a."""
     c, s, zero = ring.call(None, "cos", angle), ring.call(None, "sin", angle), ring.number(0)
     rest, (x, y, z) = ring.sub(ring.number(1), c), (ring.mul(s, e) for e in a)
     skew = ((c, ring.sub(zero, z), y), (z, c, ring.sub(zero, x)), (ring.sub(zero, y), x, c))
     return [[ring.add(skew[i][j], ring.mul(rest, ring.mul(a[i], a[j]))) for j in range(3)] for i in range(3)]
 
 
-# ---- Steps of an estimate from sample to sample -----------------------------------------------------------------------
+# ---- Steps of an estimate from sample to sample ----------------------------------------------------------------------
 
 
 def pieces(column, sizes):
@@ -663,7 +687,9 @@ def pieces(column, sizes):
 
 
 def next_values(point, steps):
-    """Next values of an estimate and its memory, by label. For each output and its rows (h, y), with e = y - h'theta:
+    """Next values of an estimate and its memory, by label.
+
+    For each output and each of its rows (h, y) in turn, with e = y - h'theta:
 
     normalised     theta <- theta + D h e / n, n = floor + h' D h, D the gain. |theta - true|^2_(1/D) changes by exactly
                    -(h'(theta - true))^2 / n - floor e^2 / n^2 + eta^2 / n, where eta = y - h'true.
@@ -712,7 +738,8 @@ def plus_diagonal(ring, G, metric):
 
 def into_box(ring, theta, G, metric, lower, upper):
     """Projection onto a box. Least squares: onto one face after the other in the norm of G + 1/D, then by clipping,
-    which sets G to zero where it changes an element."""
+    which sets G to zero where it changes an element.
+    """
 
     def clip(value, low, high):
         return ring.call(None, "fmin", ring.call(None, "fmax", value, low), high)
@@ -745,10 +772,12 @@ def shifted(point, line):
     (when,) = point.vector(line["when"])
     both = zip(after, before, strict=True)
     kept = ring.call(None, "not", when)
-    return [ring.add(ring.call(None, "if_else_zero", when, a), ring.call(None, "if_else_zero", kept, b)) for a, b in both]
+    return [
+        ring.add(ring.call(None, "if_else_zero", when, a), ring.call(None, "if_else_zero", kept, b)) for a, b in both
+    ]
 
 
-# ---- The identity -----------------------------------------------------------------------------------------------------
+# ---- The identity ----------------------------------------------------------------------------------------------------
 
 
 def moving(of, ring, inputs, given):
@@ -778,7 +807,9 @@ def in_flow(of, ring, inputs):
         term, correction, name = of.term(item["term"]), inputs[of.labels[item["correction"]]], item["state"]
         need(item["correction"] == f"{name}, correction" and of.kind(name) == "state", f"{name}: its projection")
         need(of.kind(item["correction"]) == "projection" and term["rule"] == "square", f"{name}: its projection")
-        error, metric, true = (plain.vector(k) for k in (term["parts"]["vector"], term["parts"]["weight"], item["true"]))
+        error, metric, true = (
+            plain.vector(k) for k in (term["parts"]["vector"], term["parts"]["weight"], item["true"])
+        )
         weight = inputs[of.labels[term["level"]]][0] if term["level"] else ring.number(1)
         total = ring.sub(total, ring.mul(weight, dot(ring, times(ring, metric, error), correction)))
         estimate = inputs[of.labels[name]]
@@ -818,9 +849,16 @@ def over_samples(of, ring, inputs):
     now, then = Point(of, ring, inputs), list(inputs)
     for label, k in of.rates.items():
         then[of.labels[label]] = now.vector(k)
-    later, half, V, total = Point(of, ring, then, of.stored), ring.inverse(ring.number(2)), ring.number(0), ring.number(0)
+    later, half, V, total = (
+        Point(of, ring, then, of.stored),
+        ring.inverse(ring.number(2)),
+        ring.number(0),
+        ring.number(0),
+    )
     for term in of.terms:
-        need(term["rule"] == "square" and not term["level"] and term["role"] != "cross", "over samples: expected squares")
+        need(
+            term["rule"] == "square" and not term["level"] and term["role"] != "cross", "over samples: expected squares"
+        )
         value = term_value(now, term)
         if term["role"] == "stored":
             V, value = ring.add(V, value), ring.mul(half, ring.sub(term_value(later, term), value))
@@ -832,12 +870,17 @@ def over_samples(of, ring, inputs):
         for label, values in next_values(now, steps).items():
             yield f"the next value of {label}", minus(ring, now.vector(of.rates[label]), values)
         if steps["rule"] == "least_squares":
-            yield steps["memory"], minus(ring, now.vector(steps["parts"]["gathered"]), inputs[of.labels[steps["memory"]]])
+            yield (
+                steps["memory"],
+                minus(ring, now.vector(steps["parts"]["gathered"]), inputs[of.labels[steps["memory"]]]),
+            )
     for line in of.lines:
         yield line["state"], minus(ring, now.vector(line["before"]), inputs[of.labels[line["state"]]])
         yield f"the next value of {line['state']}", minus(ring, now.vector(of.rates[line["state"]]), shifted(now, line))
     if of.plant:
-        point = Point(of, Duals(ring), moving(of, ring, inputs, of.between), of.slice([x["momentum"] for x in of.plant]))
+        point = Point(
+            of, Duals(ring), moving(of, ring, inputs, of.between), of.slice([x["momentum"] for x in of.plant])
+        )
         for item in of.plant:  # d/dt momentum + rest = 0
             change = rates(ring, point.vector(item["momentum"]))
             yield "a plant identity", [ring.add(x, y) for x, y in zip(change, now.vector(item["rest"]), strict=True)]
@@ -871,7 +914,7 @@ def identity(of):
     return points * error, points
 
 
-# ---- Signs, conditions and small gain -----------------------------------------------------------------------------------
+# ---- Signs, conditions and small gain --------------------------------------------------------------------------------
 
 
 class Signs:
@@ -958,7 +1001,9 @@ class Signs:
                 strict |= {k} if sign == 1 else set()
         for item in of.projections:
             name, term = item["state"], of.term(item["term"])
-            self.believed.append(f"{name}: it starts inside its {item['set']}, and the law that runs is this projection")
+            self.believed.append(
+                f"{name}: it starts inside its {item['set']}, and the law that runs is this projection"
+            )
             if item["set"] == "box":
                 size = len(of.elements(item["true"]))
                 diagonal = term["rule"] == "square" and len(of.elements(term["parts"]["weight"])) in (1, size)
@@ -996,10 +1041,16 @@ class Signs:
                 if k not in strict or term["role"] != "dissipated" or term["rule"] != "square" or None in (a, c, W):
                     raise Refuted("no square with a positive weight of parameters dominates a cross term")
                 each = [ring.mul(ring.mul(x, x), ring.inverse(w)) for x, w in zip(spread(a, size), spread(W, size))]
-                total = each if size is None or share == cross["by"][0][0] else [ring.add(x, y) for x, y in zip(total, each)]
+                total = (
+                    each
+                    if size is None or share == cross["by"][0][0]
+                    else [ring.add(x, y) for x, y in zip(total, each)]
+                )
             used, levels = frozenset(k for _, k in cross["by"]), {of.term(k)["level"] for _, k in cross["by"]}
             need(len(used) == len(cross["by"]) and len(levels) == 1, "a cross term: expected squares of one level")
-            need(all(used == other or not used & other for other in needed), "cross terms share a part of their squares")
+            need(
+                all(used == other or not used & other for other in needed), "cross terms share a part of their squares"
+            )
             need(not of.term(cross["term"])["level"], "a cross term: expected the weight 1")
             needed[used] = needed.get(used, 0) + max(ring.mul(c[0], x)[1] for x in total)
             if not max(levels) and needed[used] >= 1:
@@ -1022,7 +1073,7 @@ def definite(rows):
     return True
 
 
-# ---- Conclusions in continuous time ---------------------------------------------------------------------------------------
+# ---- Conclusions in continuous time ----------------------------------------------------------------------------------
 
 
 class Echelon:
@@ -1070,7 +1121,9 @@ class Conclusions:
         self.of, self.signs, self.strict, self.at, self.rows = of, signs, strict, {}, {}
         self.field, self.linear, n = Frozen(), [], 0
         self.p = self.field.p
-        own = {label: [self.field.number(x) if x == y else None for x, y in given] for label, given in signs.known.items()}
+        own = {
+            label: [self.field.number(x) if x == y else None for x, y in given] for label, given in signs.known.items()
+        }
         self.parameters = [
             [self.field.random() if x is None else x for x in own.get(label, [None] * size)]
             for label, size in zip(of.labels, of.sizes)
@@ -1085,7 +1138,10 @@ class Conclusions:
 
     def drawn(self):
         """Inputs at a random point."""
-        return [own if kind in CONSTANT else [self.field.random() for _ in own] for own, kind in zip(self.parameters, self.of.kinds)]
+        return [
+            own if kind in CONSTANT else [self.field.random() for _ in own]
+            for own, kind in zip(self.parameters, self.of.kinds)
+        ]
 
     def evaluate(self, wanted, ring, inputs):
         """Numbers of ("value", k), ("rate", k), and ("input", i, j): dz_j/dt - (A z)_j of a linear equation."""
@@ -1171,7 +1227,9 @@ class Conclusions:
 
     def close_constants(self):
         """A combination of states whose rate is identically zero is constant."""
-        labels = [label for label in self.rows if label in self.of.rates and self.rows[label].start not in self.known.rows]
+        labels = [
+            label for label in self.rows if label in self.of.rates and self.rows[label].start not in self.known.rows
+        ]
         columns = [column for label in labels for column in self.rows[label]]
         sampled = Echelon(self.p, len(columns))
         for row in self.sampled([("value", self.of.rates[label]) for label in labels], len(columns) + 3):
@@ -1243,20 +1301,30 @@ class Conclusions:
 
     def vanishes(self, k, squares, gone):
         """True if a signal converges to zero: its square is integrable and its derivative bounded (Barbalat's lemma),
-        it is the derivative of a vanishing signal and its own derivative is bounded, or it follows from others."""
-        linear = [item for item in map(self.of.linear.__getitem__, self.linear) if any(self.equal(k, z) for z in item["vectors"])]
+        it is the derivative of a vanishing signal and its own derivative is bounded, or it follows from others.
+        """
+        linear = [
+            item
+            for item in map(self.of.linear.__getitem__, self.linear)
+            if any(self.equal(k, z) for z in item["vectors"])
+        ]
         if self.bounded([("rate", k)]) and (
             any(self.equal(k, other) for other in squares) or any(self.equal(k, z, "rate") for z in gone)
         ):
             return True
         if any(self.made_of(self.inputs(self.of.linear.index(item)), gone) for item in linear if gone):
             return True
-        widths = [term["parts"]["width"] for term in self.of.terms if term["rule"] == "potential" and self.equal(k, term["parts"]["vector"])]
+        widths = [
+            term["parts"]["width"]
+            for term in self.of.terms
+            if term["rule"] == "potential" and self.equal(k, term["parts"]["vector"])
+        ]
         return bool(gone) and any(self.follows_from(k, gone, width) for width in [None, *widths])
 
     def follows_from(self, k, gone, width):
         """True if a, or a / sqrt(1 + (a / v)^2) with the same zeros, is made of vanishing signals z; or R'a is, or a is
-        part of the least-squares solutions of R'b = z, with a matrix R that is believed to keep full row rank."""
+        part of the least-squares solutions of R'b = z, with a matrix R that is believed to keep full row rank.
+        """
         of, n, both = self.of, len(self.of.elements(k)), [("value", k)] + [("value", width)] * (width is not None)
 
         def target(ring, row):
