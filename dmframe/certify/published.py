@@ -256,7 +256,7 @@ class _Writer:
         of = self._of
         for part in of.parts:
             for term in (*part.certificate.storage, *part.certificate.dissipation):
-                if isinstance(term, Square) and is_matrix(of, term.weight):
+                if isinstance(term, Square) and (is_matrix(of, term.weight) or term.vector.is_scalar()):
                     found = body_matrix(of, (term.weight + term.weight.T) / 2)
                     if found is not None:
                         q, robot, inertia, rotors = found

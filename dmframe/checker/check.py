@@ -35,7 +35,7 @@ BINARY = set("add sub mul div pow constpow fmin fmax lt le eq ne and or if_else_
              "remainder".split())  # fmt: skip
 BELIEVED = (
     "signals have the names of the file; its rates and next values are those of the loop that runs",
-    "trajectories and their derivatives are bounded; divisors, and arguments of roots and logarithms, stay away from 0",
+    "divisors, and arguments of roots and logarithms, stay away from 0",
 )
 BOUNDED = set("sin cos tanh atan atan2 sign lt le eq ne not and or erf".split())
 
@@ -1379,6 +1379,11 @@ class Conclusions:
         return item["says"] == "goes to zero" and self.vanishes(item["vector"], squares, gone)
 
 
+def bounded_by_belief(of):
+    given = [label for label, kind in zip(of.labels, of.kinds) if kind == "trajectory"]
+    return [f"bounded: {', '.join(given)}"] if given and not of.samples else []
+
+
 def robot_text(item):
     rates = "; its acceleration follows from the torque, for all masses" if item["motion"] is not None else ""
     return f"a weight is the mass matrix of a chain of {len(item['joints'])} rigid bodies{rates}"
@@ -1419,7 +1424,7 @@ def check(data):
         "kappa_above": None if kappa is None else str(kappa),
         "only_at_exact_values_of": sorted(of.fixed),
         "conclusions": named(shown),
-        "believed": [*BELIEVED, *dict.fromkeys(signs.believed), *named(left)],
+        "believed": [*BELIEVED, *bounded_by_belief(of), *dict.fromkeys(signs.believed), *named(left)],
         "assumed": of.assumed,
     }
 
