@@ -19,8 +19,6 @@ from dmframe.catalogue import graphs
 from dmframe.certify.published import certificate_schema
 from tests.framework.checker.certificates import CHECKER, certificate, checker, outcome, replaced
 
-CHEAP = ("pendulum", "arm2_joint", "theorem_3", "ur10_fast", "torque_consistent_pi", "ur10_slow_repetitive")
-
 
 @pytest.mark.parametrize("name", sorted(graphs()))
 def test_every_proved_graph_is_proved_again(name: str) -> None:
