@@ -221,8 +221,8 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     """A piecewise constant function of time on each of its pieces, and the parameters of the switching instants.
 
     These are none if the instants are functions of the parameters, see `_moments`: the pieces are then those at any
-    values. Without a piece, all its parameters, if it varies between steps. Pieces shorter than the sampling interval of
-    `verify` are ignored, as by `verify`.
+    values. Without a piece, all its parameters, if it varies between steps. Pieces shorter than the sampling interval
+    of `verify` are ignored, as by `verify`.
     """
     loop, expression = claim.loop, ca.densify(expression)
     slope = ca.jacobian(expression, loop.time)

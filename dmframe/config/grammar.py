@@ -162,8 +162,8 @@ class RivalSection(Section):
     """A controller that a live page simulates next to the graph's own, on the same robot and path."""
 
     title: str = Field(description="its name on the page")
-    blocks: Annotated[dict[str, dict[str, Any] | None], MinLen(1)] = Field(
-        description="blocks of the controller; each replaces the one of its name, null removes it"
+    blocks: dict[str, dict[str, Any] | None] | None = Field(
+        None, description="blocks as in `baseline`; by default those of `baseline`"
     )
     ghost: bool = Field(False, description="draw its tool and its error; otherwise only its error is printed")
     note: str = Field("", description="a sentence next to its error")
@@ -297,7 +297,7 @@ def _keys(path: Path) -> list[str]:
         ("log",): LogSection,
         ("page",): PageSection,
     }
-    entries = {"rivals": RivalSection, "buttons": ButtonSection}
+    entries: dict[str, type[BaseModel]] = {"rivals": RivalSection, "buttons": ButtonSection}
     if path[:1] == ("page",) and len(path) == 3 and path[1] in entries:
         return list(entries[str(path[1])].model_fields)
     return list(sections[path].model_fields) if path in sections else []

@@ -307,6 +307,8 @@ class BaseGraph:
 
     def rival(self, name: str) -> Self:
         """The graph with the blocks of a rival of its live page, ``page.rivals.NAME``; it has no file of its own."""
+        if not self.file.page.rivals[name].blocks:
+            return self.baseline()
         section: Any = self.document.node(("page", "rivals", name, "blocks")).value
         path = Path(self.document.name)
         return self._replaced(replace(self.document, name=str(path.with_name(f"{path.stem}_{name}"))), section, name)

@@ -18,11 +18,15 @@ def replaced_blocks(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     page = data.get("page")
     rivals = page.get("rivals") if isinstance(page, dict) else None
     for name, rival in rivals.items() if isinstance(rivals, dict) else ():
-        yield f"page.rivals.{name}.blocks", rival.get("blocks") if isinstance(rival, dict) else None
+        if isinstance(rival, dict) and "blocks" in rival:
+            yield f"page.rivals.{name}.blocks", rival["blocks"]
 
 
 def with_blocks(document: Document, section: Entries, *, without: Sequence[str]) -> Document:
-    """The document with the blocks of a section; null removes a block, with its wires. `without`: keys that it loses."""
+    """The document with the blocks of a section; null removes a block, with its wires.
+
+    It loses the keys `without`.
+    """
     root: Any = document.root.value
     sections = {key: node.value for key, (_, node) in root.items()}
     blocks = {**sections["blocks"], **section}

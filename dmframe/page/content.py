@@ -243,7 +243,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
         "headline": verdict.headline,
         "sampled": verdict.samples is not None,
         "reason": verdict.reason.unicode,
-        "text": verdict_text(name, verdict),
+        "text": verdict_text(name, verdict, times=False),  # the same graph gives the same page
         "conclusions": [f"{item.signal.unicode} {item.says}" for item in verdict.statements if item.concludes]
         if verdict.outcome == "proved"
         else [],

@@ -179,7 +179,8 @@ def functions_of(
         ).n_instructions()
         groups.append(add("storage", "", "", stored))
         for signal in loop.outputs:
-            if any(out.steps for out in diagram.models[signal.block].block.outputs if signal.label.endswith(f".{out.name}")):
+            name = signal.label.rpartition(".")[2]
+            if any(out.steps and out.name == name for out in diagram.models[signal.block].block.outputs):
                 groups.append(add("steps", signal.label, signal.unit, ca.vec(signal.expression)))
     for leaf in loop.commanded:
         if leaf.name.rpartition(".")[2].endswith("_c"):

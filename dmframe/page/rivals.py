@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 from dmframe.common.errors import ValueFault
 from dmframe.config import BaseGraph
@@ -41,9 +41,17 @@ def rivals_of(graph: BaseGraph) -> list[Rival]:
     return [Rival(graph.rival(name), item.title, item.ghost, item.note) for name, item in rivals.items()]
 
 
-def ghost_of(graph: BaseGraph, *, baseline: bool = False) -> Rival:
-    """Another graph as a ghost; its title is that of the file."""
-    return Rival(graph, "baseline" if baseline else graph.title or graph.name, ghost=True)
+def ghosts_of(graph: BaseGraph, other: BaseGraph | None) -> tuple[Rival, ...] | None:
+    """Another graph as a ghost, with its name as title; that of the graph's own baseline is ``baseline``.
+
+    None without another graph. Raises the errors of `check_rival`.
+    """
+    if other is None:
+        return None
+    own = other.swapped is not None and other.document.name == graph.document.name
+    rival = Rival(other, "baseline" if own else other.name, ghost=True)
+    check_rival(graph, rival)
+    return (rival,)
 
 
 def check_rival(mine: BaseGraph, rival: Rival) -> None:
@@ -56,7 +64,7 @@ def check_rival(mine: BaseGraph, rival: Rival) -> None:
         )
     errors = [_error(each.diagram) for each in (mine, other)]
     if errors[0] != errors[1] or errors[0] is None:
-        shown = [f"{size} in {unit}" if (size, unit) != (0, "") else "none" for size, unit in (e or (0, "") for e in errors)]
+        shown = ["none" if error is None else f"{error[0]} in {error[1]}" for error in errors]
         raise ValueFault(f"{other.name}: expected the error of {mine.name}, elements {shown[0]}, found {shown[1]}")
 
 

@@ -52,7 +52,7 @@ function duration(seconds) {
   return ms < 1000 ? `${ms} ms` : `${ms / 1000} s`;
 }
 
-const SLIGHT = 0.01; // rise of V, as a fraction of its decrease, up to which a verdict is green
+const SLIGHT = 0.05; // rise of V, as a fraction of its decrease, up to which a verdict is green
 const GREAT = 0.5; // rise from which it is red
 
 // Largest increase of V above an earlier value, and number of instants with an increase; `rounding`: error of each value.
@@ -113,6 +113,9 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
     const more = failing.length > 2 ? `; and ${failing.length - 2} more` : "";
     return found("fails", "The proof does not apply at these values", `${which}${more}.`, "V may rise here.");
   }
+  const risen = grade(run), how = sampledLoop ? `sampled every ${duration(run.tick ?? content.clock)}` : "with these steps of the integrator";
+  const climbs = run.climb?.fraction == null ? "V rises above its initial value" : `V rises by ${Number((100 * run.climb.fraction).toPrecision(2))} % of its decrease`;
+  const unlike = `This run is not as proved: ${how}, ${run.divergence ? "it diverges" : climbs}`;
   const kappa = verdict.kappa === null ? NaN : judged[verdict.kappa];
   const weight = kappa > 0 ? `, with any κ above ${figure(kappa)}` : "";
   if (open.length) {
@@ -120,7 +123,7 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
     const near = open.every(({ margin }) => margin !== null);
     const where = near ? "too close to zero for this page" : "decided for the file's values only";
     const rest = `${open.length > 1 ? `${open.length} conditions are` : "One condition is"} ${where}`;
-    return found("undecided", "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
+    return found(risen === 2 ? "fails" : "undecided", risen === 2 ? unlike : "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
   }
   const clock = clockAt(content, moved, run.tick), rose = riseText(run.climb, run.every);
   const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them sampled, not proved)` : "";
@@ -134,13 +137,11 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
       : moved.run ? `That ${follows} was concluded ${verdict.sampled ? "" : "in continuous time and "}for the initial state of the file.` : `It follows that ${follows}.`
   );
   const words = `proved${changed ? " at these values" : ""}${sampledLoop ? " in continuous time" : ""}`;
-  const risen = grade(run), climbs = run.climb?.fraction == null ? "V rises above its initial value" : `V rises by ${Number((100 * run.climb.fraction).toPrecision(2))} % of its decrease`;
-  const how = sampledLoop ? `sampled every ${duration(run.tick ?? content.clock)}` : "with these steps of the integrator";
   const beyond = clock.beyond ? `; at ${duration(run.tick)} unstable near its set-point` : "";
-  const headline = risen === 2 ? `This run is not as proved: ${how}, ${run.divergence ? "it diverges" : climbs}`
-    : verdict.headline.replace("proved", words) + (risen ? `; ${how}, ${climbs}` : beyond);
+  const headline = risen === 2 ? unlike : verdict.headline.replace("proved", words) + (beyond || (risen ? `; ${how}, ${climbs}` : ""));
   const state = risen === 2 ? "fails" : risen || clock.beyond ? "clock" : "proved";
-  return { ...found(state, headline.charAt(0).toUpperCase() + headline.slice(1), clock.text, rose, identity, hold, end), proved: true };
+  const unknown = content.periods?.reason ? clock.text : ""; // it is long, and comes last
+  return { ...found(state, headline.charAt(0).toUpperCase() + headline.slice(1), unknown ? "" : clock.text, rose, identity, hold, end, unknown), proved: true };
 }
 
 // A text with a full stop. Its first letter is not capitalised: it may belong to a symbol or a block.
