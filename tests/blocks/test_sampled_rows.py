@@ -165,13 +165,13 @@ def other_joint(self: RowMeans, x: Any, row: Any, goal: Any) -> tuple[Any, Any, 
 
 
 def stored_elsewhere(self: Projection, x: Any, h: Any, g: Any) -> Any:
-    """Stored with the answer of another joint, and so learnt from again."""
+    """Rows stored with the output of another joint, and used again in the update."""
     lines = KEPT(self, x, h, g)
     return (lines[0], replace(lines[1], newest=ca.horzcat(lines[1].newest[1:], lines[1].newest[0])))
 
 
-def learnt_elsewhere(self: Projection, x: Any, h: Any, g: Any, by: Any) -> Any:
-    theta, kept = LEARNT(self, x, h, g, by)
+def updated_elsewhere(self: Projection, x: Any, h: Any, g: Any, by: Any) -> Any:
+    theta, kept = UPDATED(self, x, h, g, by)
     return theta, {**kept, "goals": self._stored(x, x.goals, ca.vertcat(g[1:], g[0]))}
 
 
@@ -180,7 +180,7 @@ def before(self: SampledInverse, x: Any, last: LastSample) -> LastSample:
 
 
 LAST, MEANT = SampledInverse._last, RowMeans.after
-KEPT, LEARNT = Projection.kept, Projection.learnt
+KEPT, UPDATED = Projection.kept, Projection.updated
 
 LIES: dict[str, dict[Any, dict[str, Any]]] = {
     "y negated": {SampledInverse: sampled(lambda self, x, last: replace(last, y=-last.y))},
@@ -196,7 +196,7 @@ LIES: dict[str, dict[Any, dict[str, Any]]] = {
     "friction of the other sign": {SampledInverse: column(-1, lambda of: -of)},
     "drag of the other sign": {SampledInverse: column(-2, lambda of: -of)},
     "rows of another joint": {RowMeans: {"after": other_joint}},
-    "stored rows of another joint": {Projection: {"kept": stored_elsewhere, "learnt": learnt_elsewhere}},
+    "stored rows of another joint": {Projection: {"kept": stored_elsewhere, "updated": updated_elsewhere}},
     "one side filtered": {SampledInverse: {"_last": one_side}},
 }
 
