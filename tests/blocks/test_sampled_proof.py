@@ -1,4 +1,4 @@
-"""The sampled law's certificate: proved with both servos, and refuted where a law or a regressor is another."""
+"""The sampled law's certificate: proved with both servos, and refuted for a changed law or regressor."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _remembering(self: LeastSquares, theta: Any, G: Any, left: Any, right: Any, 
 
 
 def _above_its_start(self: LeastSquares, x: Any, h: Any, g: Any, by: Any) -> Any:
-    """W is forgotten together with its start, so that P grows beyond Gamma."""
+    """W is forgotten together with its initial value, so that P exceeds Gamma."""
     theta, kept = _updated(self, x, h, g, by)
     G = ca.SX(kept["gathered"])
     G[0] -= (1 - by.retention) / by.gain[0]
