@@ -78,12 +78,12 @@ def test_pinocchios_regressor_is_carried_and_its_numerical_rank_is_the_count(nam
     assert np.max(np.abs(Y[:, found.independent] @ grouping - Y)) < 1e-8 * np.max(np.abs(Y))
     if (
         name != "xarm7"
-    ):  # its rpy of 1.5708 makes columns that differ by 4e-6 only: no numerical rank distinguishes them apart
+    ):  # its rpy of 1.5708 makes columns that differ by 4e-6 only: no numerical rank separates them
         assert np.linalg.matrix_rank(Y, tol=1e-8 * np.max(np.abs(Y))) == found.count
 
 
 def evaluate(text: str, values: dict[str, Fraction]) -> dict[str, sympy.Expr]:
-    """Read a printed grouping with SymPy: an independent parser of what a person reads."""
+    """Read a printed grouping with SymPy, an independent parser."""
     import sympy
 
     product = re.sub(r"(?<=[\w)]) (?=[\w(])", "*", text).replace("^", "**")
