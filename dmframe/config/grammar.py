@@ -100,7 +100,7 @@ def _tolerance(value: Any) -> Any:
 
 
 def robot_name(value: Any) -> Any:
-    """A robot given by its name alone is that model with its defaults."""
+    """Expand a robot given by its name only to that model with its defaults."""
     return {"model": value} if isinstance(value, str) else value
 
 

@@ -126,7 +126,7 @@ def tolerance_in(unit: str, file: GraphFile, document: Document) -> float | None
 
 
 def at_name(fault: DmframeError) -> DmframeError:
-    """The fault, placed at the robot's name if the graph gives the robot as a name alone."""
+    """The fault, located at the robot's name if the graph gives the robot as a name only."""
     if fault.path == ("robot", "model"):
         fault.path = ("robot",)
     return fault

@@ -167,7 +167,7 @@ class Graph(BaseGraph):
         return Analysis(self, found)
 
     def controller(self, *, engine: Choice = "auto") -> Controller:
-        """Its controller alone, one sample at a time, for a loop in real time.
+        """The controller without the plant, one sample at a time, for a real-time loop.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""What a page's verdict says of its clock: bounds of the loop near its set-point, and where V rose in the run."""
+"""Statements of a page on its clock: limits of the loop near its set-point, and where V increased in the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FILE, MOVED = {"p": False, "run": False}, {"p": True, "run": False, "at": []}
 
 @cache
 def clocked() -> dict[str, Any]:
-    """A page's data with what it says of its clock."""
+    """A page's data, with those on its clock."""
     return content_of_graph(dm.load("arm2_joint"), periods=True)
 
 
