@@ -1,4 +1,4 @@
-"""Blocks at numbers, against what their papers' formulas and Pinocchio say."""
+"""Blocks at numbers, compared with the formulas of their papers and with Pinocchio."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ factor = 2.0
 
 @final
 class Listed(AbstractBlock):
-    """A block with values that can change, and a global variable."""
+    """A block with mutable values, and a global variable."""
 
     outputs = (Output("y", "", ""),)
     numbers: list[float] | tuple[float, ...]

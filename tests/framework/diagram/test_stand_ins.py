@@ -1,4 +1,4 @@
-"""Outputs that replace a signal on its way between controller and plant."""
+"""Outputs that replace a signal between controller and plant."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_what_a_block_declares_of_it_has_to_fit(members: dict[str, Any], text: s
 
 
 class Late(AbstractBlock):
-    """v_late = v, of one sample before."""
+    """v_late = v of the previous sample."""
 
     side = PLANT
     inputs = (Input("v"),)

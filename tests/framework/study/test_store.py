@@ -1,4 +1,4 @@
-"""The folder of a study: what is not whole, not ours or not of this study is noticed."""
+"""The folder of a study: incomplete, foreign or changed files are detected."""
 
 from __future__ import annotations
 
