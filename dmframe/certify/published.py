@@ -109,7 +109,8 @@ class _Writer:
         found |= {name: self._with_ids(items) for name, items in own.items()}
         found["assumed"] = [str(item.text) for item in self._verdict.assumptions]
         symbols, program, vectors = by_columns(claim, self._used, self._labels(claim))
-        numbers: dict[str, list[Any]] = {label: [str(x) for x in values] for label, values in exact_values(of.diagram).items()}
+        exact = exact_values(of.diagram)
+        numbers: dict[str, list[Any]] = {label: [str(x) for x in values] for label, values in exact.items()}
         numbers |= {label: [[str(x.lower), str(x.upper)] for x in given] for label, given in self._uncertain.items()}
         labels = {item["label"] for item in symbols if item["kind"] == "parameter"}
         found |= {"symbols": symbols, "program": program, "vectors": vectors}

@@ -129,7 +129,7 @@ class Degrees:
     where the height is log2 of the sum of absolute coefficients.
 
     `inverted` and `arguments` collect the polynomials that must not vanish at a random point: numerators of divisors,
-    and differences of the arguments of one function. Objects are told apart by identity, so that each is a new one.
+    and differences of the arguments of one function. Objects are distinguished by identity, so that each is a new one.
     """
 
     def __init__(self):

@@ -37,7 +37,7 @@ def test_every_proved_graph_is_proved_again(name: str) -> None:
         assert any("follows from the torque" in text for text in found["robot"])
 
 
-def test_it_runs_without_the_framework_and_tells_the_outcome_by_its_exit_status(tmp_path: Path) -> None:
+def test_it_runs_without_the_framework_and_its_exit_status_is_the_outcome(tmp_path: Path) -> None:
     path, data = tmp_path / "file.json", certificate("pendulum")
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
