@@ -35,9 +35,7 @@ DEEP = 100
 """Depth to which two elements are compared before their difference is tested."""
 
 
-def assembled(
-    claim: Claim, uncertain: Sequence[str] = (), more: Mapping[str, SX] = MappingProxyType({})
-) -> data.Claim:
+def assembled(claim: Claim, uncertain: Sequence[str] = (), more: Mapping[str, SX] = MappingProxyType({})) -> data.Claim:
     """The claim as data, with further expressions as outputs of its program, by name.
 
     Raises `NotApplicableError` if a certificate contains a symbol that is neither a signal nor a parameter of the

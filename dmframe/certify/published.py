@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from fractions import Fraction
 from importlib.resources import files
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -29,8 +28,8 @@ from dmframe.common.errors import ValueFault
 from dmframe.diagram.projection import Box
 from dmframe.diagram.view import view
 from dmframe.exact.rational import Interval
-from dmframe.program import CONST, INPUT, OPERATIONS, Program, shared
 from dmframe.prove import claim as data
+from dmframe.prove.columns import by_columns
 
 FORMAT: Final = "dmframe-certificate"
 VERSION: Final = 1
@@ -109,8 +108,9 @@ class _Writer:
             found["projections"] = list(self._projections(places))
         found |= {name: self._with_ids(items) for name, items in own.items()}
         found["assumed"] = [str(item.text) for item in self._verdict.assumptions]
-        symbols, program, vectors = self._program(claim)
-        numbers = {label: [str(x) for x in values] for label, values in exact_values(of.diagram).items()}
+        symbols, program, vectors = by_columns(claim, self._used, self._labels(claim))
+        exact = exact_values(of.diagram)
+        numbers: dict[str, list[Any]] = {label: [str(x) for x in values] for label, values in exact.items()}
         numbers |= {label: [[str(x.lower), str(x.upper)] for x in given] for label, given in self._uncertain.items()}
         labels = {item["label"] for item in symbols if item["kind"] == "parameter"}
         found |= {"symbols": symbols, "program": program, "vectors": vectors}
@@ -257,7 +257,7 @@ class _Writer:
         of = self._of
         for part in of.parts:
             for term in (*part.certificate.storage, *part.certificate.dissipation):
-                if isinstance(term, Square) and is_matrix(of, term.weight):
+                if isinstance(term, Square) and (is_matrix(of, term.weight) or term.vector.is_scalar()):
                     found = body_matrix(of, (term.weight + term.weight.T) / 2)
                     if found is not None:
                         q, robot, inertia, rotors = found
@@ -310,7 +310,6 @@ class _Writer:
         return {
             "vectors": [self._vector("z", z) for z in joined(list(item.vectors))],
             "rates": [[self._vector("rate", rate) for rate in joined(list(map(ca.SX, row)))] for row in item.rates],
-            "bounded": [self._vector("bounded", z) for z in joined(list(item.bounded))],
         }
 
     def _condition(self, item: Checked) -> dict[str, Any]:
@@ -370,63 +369,11 @@ class _Writer:
         solved = [self._id(out) for part in claim.parts for out in part.solved]
         return {"steps": steps, "lines": lines, "plant": plant, "between": between, "solved": solved}
 
-    def _program(self, claim: data.Claim) -> tuple[list[dict[str, Any]], dict[str, Any], list[Any]]:
-        """Symbols, program and vectors; without unused instructions and symbols, and with gains for their copies."""
-        whole, first = claim.program, len(claim.symbols)
-        copies = {first + k: claim.inputs[label] for k, label in enumerate(claim.gains)}
-        nodes = [
-            node._replace(a=copies[node.a]) if node.code == INPUT and node.a in copies else node for node in whole.nodes
-        ]
-        program = shared(Program("certificate", nodes, whole.inputs, whole.outputs, whole.sources))
-        outputs = claim.outputs
-        sources = {out: program.sources[outputs[out]] for out in self._used}
-        needed = {source for own in sources.values() for source in own}
-        for k in range(len(program.nodes) - 1, -1, -1):
-            if k in needed:
-                needed.update(program.nodes[k].operands)
-        place = {k: position for position, k in enumerate(sorted(needed))}
-        used = {program.nodes[k].a for k in needed if program.nodes[k].code == INPUT}
-        labels = self._labels(claim)
-        kept = [k for k, symbol in enumerate(claim.symbols) if k in used or symbol.label in labels]
-        position = {k: new for new, k in enumerate(kept)}
-        symbols = [_symbol(claim.symbols[k]) for k in kept]
-        vectors = []
-        for out in self._used:
-            pattern = program.outputs[outputs[out]]
-            elements = [-1] * pattern.size
-            for at, source in zip(pattern.places, sources[out], strict=True):
-                elements[at] = place[source]
-            vectors.append([pattern.rows, elements])
-        return symbols, self._instructions(claim, program, place, position), vectors
-
     def _labels(self, claim: data.Claim) -> set[str]:
         """Labels that the file's statements name."""
         states = {symbol.label for symbol in claim.symbols if symbol.kind in ("state", "time", "weight")}
         states |= self._moving
         return states | {item["correction"] for _, item in self._projected} | set(claim.moves)
-
-    def _instructions(
-        self, claim: data.Claim, program: Program, place: Mapping[int, int], position: Mapping[int, int]
-    ) -> dict[str, Any]:
-        constants = dict[Fraction, int]()
-        operations, columns = ["const", "input"], ([], [], [])  # type: tuple[list[int], list[int], list[int]]
-        index = {CONST: 0, INPUT: 1}
-        exact = claim.tape.numbers
-        for k in place:
-            code, a, b, constant, _ = program.nodes[k]
-            if code not in index:
-                index[code] = len(operations)
-                operations.append(OPERATIONS[code].name)
-            if code == CONST:
-                row = (0, constants.setdefault(exact[constant], len(constants)), 0)
-            elif code == INPUT:
-                row = (1, position[a], program.inputs[a].places[b])
-            else:
-                row = (index[code], place[a], place[b])
-            for column, value in zip(columns, row, strict=True):
-                column.append(value)
-        names = dict(zip(("code", "a", "b"), columns, strict=True))
-        return {"operations": operations, **names, "constants": [str(value) for value in constants]}
 
 
 def data_rule(term: Any) -> str:
@@ -434,8 +381,3 @@ def data_rule(term: Any) -> str:
     from dmframe.certify.assemble import RULES
 
     return RULES[type(term).__name__]
-
-
-def _symbol(symbol: data.Symbol) -> dict[str, Any]:
-    own: dict[str, Any] = {"label": symbol.label, "kind": symbol.kind, "size": symbol.size}
-    return own if symbol.values is None else {**own, "values": [str(value) for value in symbol.values]}

@@ -35,7 +35,7 @@ BINARY = set("add sub mul div pow constpow fmin fmax lt le eq ne and or if_else_
              "remainder".split())  # fmt: skip
 BELIEVED = (
     "signals have the names of the file; its rates and next values are those of the loop that runs",
-    "trajectories and their derivatives are bounded; denominators, and arguments of roots and logarithms, stay away from 0",
+    "divisors, and arguments of roots and logarithms, stay away from 0",
 )
 BOUNDED = set("sin cos tanh atan atan2 sign lt le eq ne not and or erf".split())
 
@@ -57,12 +57,13 @@ def need(condition, text):
         raise Refused(text)
 
 
-# ---- Rings: numbers with add, sub, mul, inverse, number and call ----------------------------------------------------
+# ---- Rings: numbers with add, sub, mul, inverse, number and call -----------------------------------------------------
 
 
 class Field:
     """Residues modulo a random prime. A function has a random value for each argument: what holds for all values holds
-    for those of the function. sin and cos of one argument are a random point of the unit circle."""
+    for those of the function. sin and cos of one argument are a random point of the unit circle.
+    """
 
     def __init__(self, bits=SIZES[0], p=None):
         self.p, self.known = p or random_prime(bits), {}
@@ -128,7 +129,7 @@ class Degrees:
     where the height is log2 of the sum of absolute coefficients.
 
     `inverted` and `arguments` collect the polynomials that must not vanish at a random point: numerators of divisors,
-    and differences of the arguments of one function. Objects are told apart by identity, so that each is a new one.
+    and differences of the arguments of one function. Objects are distinguished by identity, so that each is a new one.
     """
 
     def __init__(self):
@@ -235,6 +236,8 @@ class Intervals:
         return (a[0] - b[1], a[1] - b[0])
 
     def mul(self, a, b):
+        if max(x.numerator.bit_length() + x.denominator.bit_length() for x in (*a, *b)) > LARGEST:
+            raise Again
         ends = [x * y for x in a for y in b]
         if a is b and a[0] < 0 < a[1]:
             return (Fraction(0), max(ends))
@@ -277,14 +280,16 @@ def passes(n, x, twos):
     return False
 
 
-# ---- The file -------------------------------------------------------------------------------------------------------
+# ---- The file --------------------------------------------------------------------------------------------------------
 
 
 def rational(text):
     numerator, slash, denominator = text.partition("/")
-    need(len(text) < 4000 and all(x.isascii() and x.isdigit() for x in (numerator.removeprefix("-"), denominator or "1")),
-         f"expected a whole number or a fraction, found {text:.40}")  # fmt: skip
-    need(not slash or int(denominator), f"expected a denominator above 0, found {text:.40}")
+    digits = numerator.removeprefix("-") + denominator
+    need(
+        len(text) < 4000 and digits.isascii() and digits.isdigit(), f"expected a number as a fraction, found {text:.40}"
+    )
+    need(numerator not in ("", "-") and (not slash or int(denominator)), f"expected a fraction, found {text:.40}")
     return Fraction(int(numerator), int(denominator or 1))
 
 
@@ -303,7 +308,7 @@ LISTS = {
     "cross": ("term", "by"),
     "projections": ("term", "state", "correction", "set", "true", "lower", "upper"),
     "masses": ("weight", "position", "translations", "inertia", "rotors", "joints", "motion"),
-    "linear": ("vectors", "rates", "bounded"),
+    "linear": ("vectors", "rates"),
     "ranks": ("name", "matrix"),
     "conditions": ("name", "text", "margin", "strict"),
     "conclusions": ("signal", "says", "step", "assumes", "vector", "estimate"),
@@ -339,26 +344,40 @@ class Certificate:
         self.labels, self.kinds, self.sizes, self.fixed = {}, [], [], {}
         for item in data["symbols"]:
             self.read_symbol(keys(item, "a symbol", ("label", "kind", "size"), ("values",)))
-        self.nodes = list(self.read_program(keys(data["program"], "program", ("operations", "code", "a", "b", "constants"))))
+        self.nodes = list(
+            self.read_program(keys(data["program"], "program", ("operations", "code", "a", "b", "constants")))
+        )
         self.numbers = {label: self.read_numbers(label, values) for label, values in data["numbers"].items()}
         self.vectors = []
         for rows, elements in data["vectors"]:
-            need(all(-1 <= whole(x, -1, len(self.nodes), "a vector") for x in elements), "a vector")
-            need(len(elements) % whole(rows, 1 if elements else 0, LARGEST, "rows") == 0 if elements else True, "a vector")
+            need(all(whole(x, -1, len(self.nodes), "a vector") >= -1 for x in elements), "a vector")
+            need(
+                len(elements) % whole(rows, 1 if elements else 0, LARGEST, "rows") == 0 if elements else True,
+                "a vector",
+            )
             self.vectors.append((rows, elements))
         for name, known in LISTS.items():
             for item in data.get(name, []):
                 keys(item, name, (), known)
             setattr(self, name, data.get(name, []))
+        foreign = ("cross", "projections", "masses", "linear", "ranks") if self.samples else ("steps", "lines", "plant")
+        need(not any(data.get(name) for name in foreign), f"{', '.join(foreign)}: not in a claim over a {data['over']}")
+        need(self.samples or not (data.get("between") or data.get("solved")), "between, solved: only over samples")
         self.assumed, self.solved = data.get("assumed", []), data.get("solved", [])
         self.rates, self.between = (self.read_rates(item) for item in (data["rates"], data.get("between", {})))
         self.terms = data["terms"]
         for term in self.terms:
             keys(term, "a term", ("name", "level", "role", "rule", "parts"), ("assumed", "phi"))
-            need(term["rule"] in ROLES[term["role"]], f"{term['name']}: unknown rule {term['rule']} of a {term['role']} term")
+            need(
+                term["rule"] in ROLES[term["role"]],
+                f"{term['name']}: unknown rule {term['rule']} of a {term['role']} term",
+            )
             keys(term["parts"], term["name"], PARTS[term["rule"]])
             need(term["level"] == "" or self.kind(term["level"]) == "weight", f"{term['name']}: its level")
-            need(term["rule"] != "monotone" or term["phi"] in ("tanh", "atan"), f"{term['name']}: unknown function {term.get('phi')}")
+            need(
+                term["rule"] != "monotone" or term["phi"] in ("tanh", "atan"),
+                f"{term['name']}: unknown function {term.get('phi')}",
+            )
         stored = [k for term in self.terms if term["role"] == "stored" for k in term["parts"].values()]
         self.stored, need_rate = self.slice(stored), self.reads(stored)
         need(stored or self.steps, "V has no term")
@@ -366,6 +385,7 @@ class Certificate:
             moves = label in self.rates or (self.kind(label) == "time" and not self.samples)
             need(moves or self.kind(label) in CONSTANT, f"V depends on {label}, which has no rate")
         for steps in self.steps:
+            need(all(whole(n, 1, LARGEST, "a size") for n in [steps["rows"], *steps["sizes"]]), "steps")
             for name in steps["parts"]:
                 if name in ("true", "gain", "floor", "retention", "lower", "upper"):
                     for label in self.reads([steps["parts"][name]]):
@@ -397,7 +417,10 @@ class Certificate:
     def read_numbers(self, label, values):
         need(self.kind(label) == "parameter", f"{label}: numbers of a {self.kind(label)}")
         found = [tuple(rational(x) for x in (value if isinstance(value, list) else (value, value))) for value in values]
-        need(len(found) == self.sizes[self.labels[label]] and all(low <= high for low, high in found), f"{label}: its numbers")
+        need(
+            len(found) == self.sizes[self.labels[label]] and all(low <= high for low, high in found),
+            f"{label}: its numbers",
+        )
         exact = [(x, x) for x in self.fixed.get(label, [])]
         need(not exact or found == exact, f"{label}: other numbers than its exact values")
         return found
@@ -405,7 +428,10 @@ class Certificate:
     def read_rates(self, given):
         for label, k in given.items():
             kinds = ("state",) if self.samples else ("state", "trajectory")
-            need(self.kind(label) in kinds and len(self.elements(k)) == self.sizes[self.labels[label]], f"the rate of {label}")
+            need(
+                self.kind(label) in kinds and len(self.elements(k)) == self.sizes[self.labels[label]],
+                f"the rate of {label}",
+            )
         return given
 
     def kind(self, label):
@@ -531,11 +557,13 @@ def solve(ring, matrix, columns):
 
 def rates(ring, pairs):
     """Derivatives of dual numbers."""
-    need(all(x[1] is not Duals.NONE for x in pairs), "a derivative that does not exist, or of a function without a rule")
+    need(
+        all(x[1] is not Duals.NONE for x in pairs), "a derivative that does not exist, or of a function without a rule"
+    )
     return [ring.number(0) if x[1] is None else x[1] for x in pairs]
 
 
-# ---- Terms ----------------------------------------------------------------------------------------------------------
+# ---- Terms -----------------------------------------------------------------------------------------------------------
 
 
 def term_value(point, term):
@@ -549,7 +577,9 @@ def term_value(point, term):
         return ring.mul(part["weight"][0], dot(ring, a, [dot(ring, row, a) for row in G]))
     if term["rule"] == "monotone":  # sum w (a - b) (phi(a / v) - phi(b / v))
         n, total = len(part["first"]), ring.number(0)
-        for w, a, b, v in zip(spread(part["weight"], n), part["first"], part["second"], spread(part["scale"], n), strict=True):
+        for w, a, b, v in zip(
+            spread(part["weight"], n), part["first"], part["second"], spread(part["scale"], n), strict=True
+        ):
             phi = [ring.call(None, term["phi"], ring.mul(x, ring.inverse(v))) for x in (a, b)]
             total = ring.add(total, ring.mul(w, ring.mul(ring.sub(a, b), ring.sub(*phi))))
         return total
@@ -586,7 +616,11 @@ class Chain:
         self.rotors = self.zero[:1] * len(q) if item["rotors"] is None else spread(point.vector(item["rotors"]), len(q))
         for i, joint in enumerate(item["joints"]):
             need(joint["kind"] in ("revolute", "prismatic"), "a joint: expected revolute or prismatic")
-            axis, flat = ([ring.number(rational(x)) for x in joint[name]] for name in ("axis", "rotation"))
+            axis, flat = ([rational(x) for x in joint[name]] for name in ("axis", "rotation"))
+            x, y, z = flat[0:3], flat[3:6], flat[6:9]
+            proper = [sum(a * a for a in v) for v in (axis, x, y)] == [1, 1, 1] and not sum(a * b for a, b in zip(x, y))
+            need(proper and z == [x[i - 2] * y[i - 1] - x[i - 1] * y[i - 2] for i in range(3)], "a joint: its rotation")
+            axis, flat = [ring.number(a) for a in axis], [ring.number(a) for a in flat]
             R, origin, turns = [flat[0:3], flat[3:6], flat[6:9]], moves[3 * i : 3 * i + 3], joint["kind"] == "revolute"
             if turns:
                 R = [[dot(ring, row, column) for column in zip(*rotation(ring, axis, q[i]))] for row in R]
@@ -625,7 +659,7 @@ class Chain:
             moment = plus(ring, moment, across(ring, origin, force))
         return found
 
-    def equalities(self, point, item):
+    def equalities(self, moving, point, item):
         """The weight is the mass matrix, column by column, and the acceleration that of the exported torque."""
         ring, n = self.ring, len(self.joints)
         still, unit = self.zero[:1] * n, [[ring.number(int(i == k)) for i in range(n)] for k in range(n)]
@@ -634,6 +668,9 @@ class Chain:
         if item["motion"] is not None:
             names = ("velocity", "acceleration", "gravity", "torque")
             velocity, acceleration, gravity, torque = (point.vector(item["motion"][name]) for name in names)
+            yield "the robot's velocity", minus(ring, rates(ring, moving.vector(item["position"])), velocity)
+            slopes = rates(ring, moving.vector(item["motion"]["velocity"]))
+            yield "the robot's acceleration", minus(ring, slopes, acceleration)
             yield "the robot's equation of motion", minus(ring, self.forces(velocity, acceleration, gravity), torque)
 
 
@@ -646,14 +683,14 @@ def across(ring, a, b):
 
 
 def rotation(ring, a, angle):
-    """cos 1 + sin [a]x + (1 - cos) a a' about the unit vector a."""
+    """Cos 1 + sin [a]x + (1 - cos) a a' about the unit vector a."""
     c, s, zero = ring.call(None, "cos", angle), ring.call(None, "sin", angle), ring.number(0)
     rest, (x, y, z) = ring.sub(ring.number(1), c), (ring.mul(s, e) for e in a)
     skew = ((c, ring.sub(zero, z), y), (z, c, ring.sub(zero, x)), (ring.sub(zero, y), x, c))
     return [[ring.add(skew[i][j], ring.mul(rest, ring.mul(a[i], a[j]))) for j in range(3)] for i in range(3)]
 
 
-# ---- Steps of an estimate from sample to sample -----------------------------------------------------------------------
+# ---- Steps of an estimate from sample to sample ----------------------------------------------------------------------
 
 
 def pieces(column, sizes):
@@ -663,7 +700,9 @@ def pieces(column, sizes):
 
 
 def next_values(point, steps):
-    """Next values of an estimate and its memory, by label. For each output and its rows (h, y), with e = y - h'theta:
+    """Next values of an estimate and its memory, by label.
+
+    For each output and each of its rows (h, y) in turn, with e = y - h'theta:
 
     normalised     theta <- theta + D h e / n, n = floor + h' D h, D the gain. |theta - true|^2_(1/D) changes by exactly
                    -(h'(theta - true))^2 / n - floor e^2 / n^2 + eta^2 / n, where eta = y - h'true.
@@ -712,7 +751,8 @@ def plus_diagonal(ring, G, metric):
 
 def into_box(ring, theta, G, metric, lower, upper):
     """Projection onto a box. Least squares: onto one face after the other in the norm of G + 1/D, then by clipping,
-    which sets G to zero where it changes an element."""
+    which sets G to zero where it changes an element.
+    """
 
     def clip(value, low, high):
         return ring.call(None, "fmin", ring.call(None, "fmax", value, low), high)
@@ -745,16 +785,19 @@ def shifted(point, line):
     (when,) = point.vector(line["when"])
     both = zip(after, before, strict=True)
     kept = ring.call(None, "not", when)
-    return [ring.add(ring.call(None, "if_else_zero", when, a), ring.call(None, "if_else_zero", kept, b)) for a, b in both]
+    return [
+        ring.add(ring.call(None, "if_else_zero", when, a), ring.call(None, "if_else_zero", kept, b)) for a, b in both
+    ]
 
 
-# ---- The identity -----------------------------------------------------------------------------------------------------
+# ---- The identity ----------------------------------------------------------------------------------------------------
 
 
 def moving(of, ring, inputs, given):
-    """Inputs as dual numbers; the time has the rate 1."""
+    """Inputs as dual numbers; the time has the rate 1, a constant None, and a symbol without a rate no derivative."""
     plain = Point(of, ring, inputs, of.slice(given.values()))
-    found = [[(x, ring.number(1) if kind == "time" else None) for x in row] for row, kind in zip(inputs, of.kinds)]
+    slope = {"time": ring.number(1)} | dict.fromkeys(CONSTANT)
+    found = [[(x, slope.get(kind, Duals.NONE)) for x in row] for row, kind in zip(inputs, of.kinds)]
     for label, k in given.items():
         found[of.labels[label]] = list(zip(inputs[of.labels[label]], plain.vector(k)))
     return found
@@ -778,7 +821,9 @@ def in_flow(of, ring, inputs):
         term, correction, name = of.term(item["term"]), inputs[of.labels[item["correction"]]], item["state"]
         need(item["correction"] == f"{name}, correction" and of.kind(name) == "state", f"{name}: its projection")
         need(of.kind(item["correction"]) == "projection" and term["rule"] == "square", f"{name}: its projection")
-        error, metric, true = (plain.vector(k) for k in (term["parts"]["vector"], term["parts"]["weight"], item["true"]))
+        error, metric, true = (
+            plain.vector(k) for k in (term["parts"]["vector"], term["parts"]["weight"], item["true"])
+        )
         weight = inputs[of.labels[term["level"]]][0] if term["level"] else ring.number(1)
         total = ring.sub(total, ring.mul(weight, dot(ring, times(ring, metric, error), correction)))
         estimate = inputs[of.labels[name]]
@@ -809,18 +854,24 @@ def in_flow(of, ring, inputs):
             A = plain.matrix(parts[name])
             yield f"symmetry of {term['name']}", [ring.sub(A[i][j], A[j][i]) for i in range(len(A)) for j in range(i)]
     for item in of.masses:
-        yield from Chain(plain, item).equalities(plain, item)
+        yield from Chain(plain, item).equalities(point, plain, item)
 
 
 def over_samples(of, ring, inputs):
     """Names and numbers that must vanish from sample to sample; the first one is V, which must not."""
-    need(not (of.cross or of.projections or of.masses), "cross terms and projections are for continuous time")
     now, then = Point(of, ring, inputs), list(inputs)
     for label, k in of.rates.items():
         then[of.labels[label]] = now.vector(k)
-    later, half, V, total = Point(of, ring, then, of.stored), ring.inverse(ring.number(2)), ring.number(0), ring.number(0)
+    later, half, V, total = (
+        Point(of, ring, then, of.stored),
+        ring.inverse(ring.number(2)),
+        ring.number(0),
+        ring.number(0),
+    )
     for term in of.terms:
-        need(term["rule"] == "square" and not term["level"] and term["role"] != "cross", "over samples: expected squares")
+        need(
+            term["rule"] == "square" and not term["level"] and term["role"] != "cross", "over samples: expected squares"
+        )
         value = term_value(now, term)
         if term["role"] == "stored":
             V, value = ring.add(V, value), ring.mul(half, ring.sub(term_value(later, term), value))
@@ -832,12 +883,17 @@ def over_samples(of, ring, inputs):
         for label, values in next_values(now, steps).items():
             yield f"the next value of {label}", minus(ring, now.vector(of.rates[label]), values)
         if steps["rule"] == "least_squares":
-            yield steps["memory"], minus(ring, now.vector(steps["parts"]["gathered"]), inputs[of.labels[steps["memory"]]])
+            yield (
+                steps["memory"],
+                minus(ring, now.vector(steps["parts"]["gathered"]), inputs[of.labels[steps["memory"]]]),
+            )
     for line in of.lines:
         yield line["state"], minus(ring, now.vector(line["before"]), inputs[of.labels[line["state"]]])
         yield f"the next value of {line['state']}", minus(ring, now.vector(of.rates[line["state"]]), shifted(now, line))
     if of.plant:
-        point = Point(of, Duals(ring), moving(of, ring, inputs, of.between), of.slice([x["momentum"] for x in of.plant]))
+        point = Point(
+            of, Duals(ring), moving(of, ring, inputs, of.between), of.slice([x["momentum"] for x in of.plant])
+        )
         for item in of.plant:  # d/dt momentum + rest = 0
             change = rates(ring, point.vector(item["momentum"]))
             yield "a plant identity", [ring.add(x, y) for x, y in zip(change, now.vector(item["rest"]), strict=True)]
@@ -871,7 +927,7 @@ def identity(of):
     return points * error, points
 
 
-# ---- Signs, conditions and small gain -----------------------------------------------------------------------------------
+# ---- Signs, conditions and small gain --------------------------------------------------------------------------------
 
 
 class Signs:
@@ -904,6 +960,8 @@ class Signs:
         low, value, high = (self.vector(k) for k in (lower, true, upper))
         if low is None or high is None:
             raise Refuted(f"{name}: its box is not made of parameters")
+        if any(a[1] > b[0] for a, b in zip(low, high, strict=True)):
+            raise Refuted(f"{name}: its box is empty")
         if value is None:
             self.believed.append(f"{name}: its true value is inside the box")
         elif not all(a[1] <= x[0] and x[1] <= b[0] for a, x, b in zip(low, spread(value, len(low)), high, strict=True)):
@@ -914,9 +972,10 @@ class Signs:
         """Sign of a term."""
         part, rule, name = term["parts"], term["rule"], term["name"]
         sign = self.sign(part["weight"], len(self.of.elements(part["vector"])) if rule == "square" else 0)
-        if rule == "square" and sign < 0:
+        if rule == "square" and self.vector(part["weight"]) is None and term["role"] != "cross":
+            own, size = self.of.elements(part["weight"]), len(self.of.elements(part["vector"]))
             for item in self.of.masses:
-                if self.of.elements(item["weight"]) == self.of.elements(part["weight"]):
+                if self.of.elements(item["weight"]) == own and len(own) == size * size:
                     return self.mass(item)
             if "assumed" in term:
                 self.believed.append(f"{name}: its weight is positive: {term['assumed']}")
@@ -934,9 +993,10 @@ class Signs:
     def mass(self, item):
         """A mass matrix is positive definite if each link's pseudo-inertia is, and no rotor's inertia is negative."""
         inertia, ring = self.vector(item["inertia"]), self.ring
+        rotors = 1 if item["rotors"] is None else self.sign(item["rotors"])
         if inertia is None:
             self.believed.append("the load of the mass matrix is a rigid body")
-            return 1
+            return 1 if rotors >= 0 else -1
         for k in range(0, len(inertia), 10):
             m, hx, hy, hz, xx, xy, yy, xz, yz, zz = inertia[k : k + 10]
             half = ring.mul(ring.add(ring.add(xx, yy), zz), ring.number(Fraction(1, 2)))
@@ -945,7 +1005,7 @@ class Signs:
             rows = [[diagonal[0], xy, xz, hx], [xy, diagonal[1], yz, hy], [xz, yz, diagonal[2], hz], [hx, hy, hz, m]]
             if not definite(rows):
                 return -1
-        return 1 if item["rotors"] is None or self.sign(item["rotors"]) >= 0 else -1
+        return 1 if rotors >= 0 else -1
 
     def check(self):
         """Checks all signs; returns the places of the terms with a positive weight."""
@@ -958,14 +1018,17 @@ class Signs:
                 strict |= {k} if sign == 1 else set()
         for item in of.projections:
             name, term = item["state"], of.term(item["term"])
-            self.believed.append(f"{name}: it starts inside its {item['set']}, and the law that runs is this projection")
+            self.believed.append(
+                f"{name}: it starts inside its {item['set']}, and the law that runs is this projection"
+            )
             if item["set"] == "box":
                 size = len(of.elements(item["true"]))
                 diagonal = term["rule"] == "square" and len(of.elements(term["parts"]["weight"])) in (1, size)
                 need(diagonal and item["term"] in strict, f"{name}: expected a box with a diagonal metric")
                 self.boxes[name] = self.inside(name, item["lower"], item["true"], item["upper"])
             else:
-                self.believed.append(f"{name}: its {item['set']} contains the true value and suits the metric")
+                text = f"{name}: its {item['set']} is bounded, contains the true value, and suits the metric"
+                self.believed.append(text)
         for steps in of.steps:
             part, name = steps["parts"], steps["estimate"]
             if self.sign(part["gain"]) != 1 or self.sign(part["floor"]) != 1:
@@ -987,19 +1050,22 @@ class Signs:
 
         c |sum a_j v_j|^2 <= c max(sum_j a_j^2 / W_j) sum_j |v_j|^2_(W_j), by the inequality of Cauchy.
         """
-        of, ring, needed, total = self.of, self.ring, {}, None
+        of, ring, needed = self.of, self.ring, {}
         for cross in of.cross:
-            c, size = self.vector(of.term(cross["term"])["parts"]["weight"]), None
+            c, total = self.vector(of.term(cross["term"])["parts"]["weight"]), None
+            need(c is None or len(c) == 1, "a cross term: expected one number as its weight")
             for share, k in cross["by"]:
                 term, a = of.term(k), self.vector(share)
                 W, size = self.vector(term["parts"]["weight"]), len(of.elements(term["parts"]["vector"]))
                 if k not in strict or term["role"] != "dissipated" or term["rule"] != "square" or None in (a, c, W):
                     raise Refuted("no square with a positive weight of parameters dominates a cross term")
                 each = [ring.mul(ring.mul(x, x), ring.inverse(w)) for x, w in zip(spread(a, size), spread(W, size))]
-                total = each if size is None or share == cross["by"][0][0] else [ring.add(x, y) for x, y in zip(total, each)]
+                total = each if total is None else [ring.add(x, y) for x, y in zip(total, each, strict=True)]
             used, levels = frozenset(k for _, k in cross["by"]), {of.term(k)["level"] for _, k in cross["by"]}
             need(len(used) == len(cross["by"]) and len(levels) == 1, "a cross term: expected squares of one level")
-            need(all(used == other or not used & other for other in needed), "cross terms share a part of their squares")
+            need(
+                all(used == other or not used & other for other in needed), "cross terms share a part of their squares"
+            )
             need(not of.term(cross["term"])["level"], "a cross term: expected the weight 1")
             needed[used] = needed.get(used, 0) + max(ring.mul(c[0], x)[1] for x in total)
             if not max(levels) and needed[used] >= 1:
@@ -1014,6 +1080,8 @@ class Signs:
 def definite(rows):
     """True if all symmetric matrices in these intervals are positive definite: their pivots are positive."""
     ring, rows = Intervals(), [list(row) for row in rows]
+    if any(rows[i][j] != rows[j][i] for i in range(len(rows)) for j in range(i)):
+        return False
     while rows:
         if rows[0][0][0] <= 0:
             return False
@@ -1022,7 +1090,7 @@ def definite(rows):
     return True
 
 
-# ---- Conclusions in continuous time ---------------------------------------------------------------------------------------
+# ---- Conclusions in continuous time ----------------------------------------------------------------------------------
 
 
 class Echelon:
@@ -1070,7 +1138,9 @@ class Conclusions:
         self.of, self.signs, self.strict, self.at, self.rows = of, signs, strict, {}, {}
         self.field, self.linear, n = Frozen(), [], 0
         self.p = self.field.p
-        own = {label: [self.field.number(x) if x == y else None for x, y in given] for label, given in signs.known.items()}
+        own = {
+            label: [self.field.number(x) if x == y else None for x, y in given] for label, given in signs.known.items()
+        }
         self.parameters = [
             [self.field.random() if x is None else x for x in own.get(label, [None] * size)]
             for label, size in zip(of.labels, of.sizes)
@@ -1085,7 +1155,10 @@ class Conclusions:
 
     def drawn(self):
         """Inputs at a random point."""
-        return [own if kind in CONSTANT else [self.field.random() for _ in own] for own, kind in zip(self.parameters, self.of.kinds)]
+        return [
+            own if kind in CONSTANT else [self.field.random() for _ in own]
+            for own, kind in zip(self.parameters, self.of.kinds)
+        ]
 
     def evaluate(self, wanted, ring, inputs):
         """Numbers of ("value", k), ("rate", k), and ("input", i, j): dz_j/dt - (A z)_j of a linear equation."""
@@ -1100,12 +1173,9 @@ class Conclusions:
         duals, found = Duals(ring), []
         moves = {label: k for label, k in of.rates.items() if label in given}
         point = Point(of, duals, moving(of, ring, inputs, moves), used)
-        unknown = [label for label in given if of.kind(label) not in (*CONSTANT, "time") and label not in moves]
         for kind, k, *row in wanted:
             part = point.vector(of.linear[k]["vectors"][row[0]] if kind == "input" else k)
             part = [x[kind != "value"] for x in part]
-            if unknown and kind != "value":
-                part = [Duals.NONE for _ in part]
             if kind == "input":
                 for z, rate in zip(of.linear[k]["vectors"], of.linear[k]["rates"][row[0]], strict=True):
                     z = [x[0] for x in point.vector(z)]
@@ -1171,7 +1241,9 @@ class Conclusions:
 
     def close_constants(self):
         """A combination of states whose rate is identically zero is constant."""
-        labels = [label for label in self.rows if label in self.of.rates and self.rows[label].start not in self.known.rows]
+        labels = [
+            label for label in self.rows if label in self.of.rates and self.rows[label].start not in self.known.rows
+        ]
         columns = [column for label in labels for column in self.rows[label]]
         sampled = Echelon(self.p, len(columns))
         for row in self.sampled([("value", self.of.rates[label]) for label in labels], len(columns) + 3):
@@ -1209,9 +1281,10 @@ class Conclusions:
 
     def sampled(self, wanted, count, change=lambda ring, row: row):
         """Numbers at random points, with the file's parameters, and what is computed from them there."""
-        found = []
+        found, tried = [], 0
         while len(found) < count:
-            ring = Field(p=self.p)
+            ring, tried = Field(p=self.p), tried + 1
+            need(tried < count + 40, "a divisor vanishes at every point with the file's numbers")
             try:
                 found.append(change(ring, self.evaluate(wanted, ring, self.drawn())))
             except Again:
@@ -1243,20 +1316,30 @@ class Conclusions:
 
     def vanishes(self, k, squares, gone):
         """True if a signal converges to zero: its square is integrable and its derivative bounded (Barbalat's lemma),
-        it is the derivative of a vanishing signal and its own derivative is bounded, or it follows from others."""
-        linear = [item for item in map(self.of.linear.__getitem__, self.linear) if any(self.equal(k, z) for z in item["vectors"])]
+        it is the derivative of a vanishing signal and its own derivative is bounded, or it follows from others.
+        """
+        linear = [
+            item
+            for item in map(self.of.linear.__getitem__, self.linear)
+            if any(self.equal(k, z) for z in item["vectors"])
+        ]
         if self.bounded([("rate", k)]) and (
             any(self.equal(k, other) for other in squares) or any(self.equal(k, z, "rate") for z in gone)
         ):
             return True
         if any(self.made_of(self.inputs(self.of.linear.index(item)), gone) for item in linear if gone):
             return True
-        widths = [term["parts"]["width"] for term in self.of.terms if term["rule"] == "potential" and self.equal(k, term["parts"]["vector"])]
+        widths = [
+            term["parts"]["width"]
+            for term in self.of.terms
+            if term["rule"] == "potential" and self.equal(k, term["parts"]["vector"])
+        ]
         return bool(gone) and any(self.follows_from(k, gone, width) for width in [None, *widths])
 
     def follows_from(self, k, gone, width):
         """True if a, or a / sqrt(1 + (a / v)^2) with the same zeros, is made of vanishing signals z; or R'a is, or a is
-        part of the least-squares solutions of R'b = z, with a matrix R that is believed to keep full row rank."""
+        part of the least-squares solutions of R'b = z, with a matrix R that is believed to keep full row rank.
+        """
         of, n, both = self.of, len(self.of.elements(k)), [("value", k)] + [("value", width)] * (width is not None)
 
         def target(ring, row):
@@ -1280,6 +1363,10 @@ class Conclusions:
                     basis += [line[0] for line in solve(ring, square, right)]
                 return a, basis
 
+            (row,) = self.sampled([("value", item["matrix"])], 1)
+            echelon = Echelon(self.p, columns)
+            if not all(echelon.add(row[i::rows]) for i in range(rows)):
+                continue
             parts = [gone] if rows == n else [[z] for z in gone if len(of.elements(z)) % columns == 0 and rows > n]
             if any(self.made_of([*both, ("value", item["matrix"])], z, through) for z in parts):
                 self.signs.believed.append(f"{item['name']} keeps full row rank, uniformly")
@@ -1311,6 +1398,11 @@ class Conclusions:
         return item["says"] == "goes to zero" and self.vanishes(item["vector"], squares, gone)
 
 
+def bounded_by_belief(of):
+    given = [label for label, kind in zip(of.labels, of.kinds) if kind == "trajectory"]
+    return [f"bounded: {', '.join(given)}"] if given and not of.samples else []
+
+
 def robot_text(item):
     rates = "; its acceleration follows from the torque, for all masses" if item["motion"] is not None else ""
     return f"a weight is the mass matrix of a chain of {len(item['joints'])} rigid bodies{rates}"
@@ -1338,6 +1430,8 @@ def check(data):
         left = [item for item in left if "estimate" not in item]
     elif not any(term["role"] == "residual" for term in of.terms):
         shown, left = Conclusions(of, signs, strict).check()
+        again, _ = Conclusions(of, signs, strict).check()  # with another prime
+        shown, left = [x for x in shown if x in again], [*left, *(x for x in shown if x not in again)]
 
     def named(items):
         return [f"{item['signal']} {item['says']}" for item in items]
@@ -1351,7 +1445,7 @@ def check(data):
         "kappa_above": None if kappa is None else str(kappa),
         "only_at_exact_values_of": sorted(of.fixed),
         "conclusions": named(shown),
-        "believed": [*BELIEVED, *dict.fromkeys(signs.believed), *named(left)],
+        "believed": [*BELIEVED, *bounded_by_belief(of), *dict.fromkeys(signs.believed), *named(left)],
         "assumed": of.assumed,
     }
 
@@ -1361,13 +1455,12 @@ def main(arguments):
     if len(paths) != 1:
         sys.stderr.write("usage: python check.py FILE [--json]\n")
         return 2
-    faults = (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError, OverflowError)
     try:
         with open(paths[0], encoding="utf-8") as file:
             result, status = check(json.load(file)), 0
     except Refuted as error:
         result, status = {"status": "refuted", "reason": str(error)}, 1
-    except (Refused, Again, *faults) as error:
+    except Exception as error:  # of data that are not a certificate
         result, status = {"status": "refused", "reason": f"{type(error).__name__}: {error}"}, 2
     if "--json" in arguments:
         print(json.dumps(result, indent=1))

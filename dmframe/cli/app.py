@@ -34,6 +34,7 @@ from dmframe.cli.design import design
 from dmframe.cli.experiment import experiment
 from dmframe.cli.groups import GroupedCommands
 from dmframe.cli.identify import identify
+from dmframe.cli.live import demo, page
 from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
@@ -301,30 +302,7 @@ def draw(
     tell(f"wrote {out}")
 
 
-@app.command()
-def page(
-    graph: OneGraph,
-    out: Annotated[
-        Path | None,
-        typer.Option("-o", "--out", metavar="FILE", callback=home, help="A file .html; GRAPH.html without it."),
-    ] = None,
-    periods: Annotated[bool, typer.Option(help="Compute the largest stable sampling periods; takes seconds.")] = True,
-    overrides: Overrides = NOTHING,
-    trust: Trust = False,
-) -> None:
-    """Write a live page of a graph: simulation in a browser, with sliders and the verdict."""
-    from dmframe.cli.graphs import one_graph
-    from dmframe.page.page import check_own_place, check_page_place
-    from dmframe.results.folder import safe_name
-
-    loaded = one_graph(graph, overrides, trust=trust)
-    place = out if out is not None else Path(f"{safe_name(loaded.name)}.html")
-    (check_page_place if out is not None else check_own_place)(place)
-    loaded.page(periods=periods).save(place)
-    tell(f"wrote {place}")
-
-
-for command in (blocks, learn, schema):
+for command in (demo, page, blocks, learn, schema):
     app.command()(command)
 
 

@@ -69,9 +69,9 @@ def verify_graphs(
             tell(json.dumps(summaries[0] if len(summaries) == 1 else summaries, indent=2))
         else:
             tell(page)
-    for path in (*wanted.values(), report):
-        if path is not None:
-            tell(f"wrote {path}", aside=as_json)
+    for written in (*wanted.values(), report):
+        if written is not None:
+            tell(f"wrote {written}", aside=as_json)
     finish(page, summaries, status, proved_at)
     return status
 
