@@ -23,7 +23,7 @@ globalThis.checker = (() => {
   const CALLS = [...UNARY, ..."pow constpow fmin fmax lt le eq ne and or if_else_zero atan2 hypot copysign fmod remainder".split(" ")];
   const BELIEVED = [
     "signals have the names of the file; its rates and next values are those of the loop that runs",
-    "trajectories and their derivatives are bounded; divisors, and arguments of roots and logarithms, stay away from 0",
+    "divisors, and arguments of roots and logarithms, stay away from 0",
   ];
 
   // ---- Rational numbers [numerator, denominator > 0], and intervals [lower, upper] of them
@@ -208,7 +208,7 @@ globalThis.checker = (() => {
   const TOP = "format version about over symbols numbers program vectors rates terms";
   const LISTS = { // keys, and those that may be missing
     cross: ["term by", ""], projections: ["term state correction set true", "lower upper"],
-    masses: ["weight position translations inertia rotors joints motion", ""], linear: ["vectors rates", "bounded"],
+    masses: ["weight position translations inertia rotors joints motion", ""], linear: ["vectors rates", ""],
     ranks: ["name matrix", ""], conditions: ["name text", "margin strict"],
     conclusions: ["signal says", "step assumes vector estimate"], steps: ["rule estimate memory sizes rows box parts", ""],
     lines: ["state newest before when", ""], plant: ["momentum rest", ""],
@@ -258,8 +258,8 @@ globalThis.checker = (() => {
       for (const [name, [must, may]] of Object.entries(LISTS)) {
         this[name] = list(data[name] ?? [], name).map((item) => keys(item, name, must, may));
       }
-      const absent = this.samples ? ["cross", "projections", "masses", "linear", "ranks"] : ["steps", "lines", "plant", "solved"];
-      for (const name of absent) need(!(data[name] ?? []).length, `${name}: not known over a ${data.over}`);
+      const absent = this.samples ? ["cross", "projections", "masses", "linear", "ranks"] : ["steps", "lines", "plant", "solved", "between"];
+      for (const name of absent) need(!Object.keys(data[name] ?? {}).length, `${name}: not known over a ${data.over}`);
       this.assumed = data.assumed ?? [];
       this.solved = data.solved ?? [];
       this.moves = this.readRates(data.rates);
@@ -344,15 +344,16 @@ globalThis.checker = (() => {
         need(CONSTANT.includes(kind) || (moving && moves), `${text} depends on ${label}`);
       }
     }
-    rates(nodes) {
+    // Derivatives; NONE where there is none, or of a symbol without a rate.
+    rates(nodes, moves = this.moves, found = this.derivatives) {
       const g = this.graph;
       return g.rates(nodes, (k) => {
-        const { kind } = this.symbols[g.a[k]], rate = this.moves.get(g.a[k]);
+        const { kind } = this.symbols[g.a[k]], rate = moves.get(g.a[k]);
         return rate ? rate[g.b[k]] : kind === "time" ? ONE : CONSTANT.includes(kind) ? ZERO : NONE;
-      }, this.derivatives);
+      }, found);
     }
-    exactRates(nodes) {
-      const found = this.rates(nodes);
+    exactRates(nodes, moves) {
+      const found = moves ? this.rates(nodes, moves, new Map()) : this.rates(nodes);
       need(!found.includes(NONE), "a derivative that does not exist, or of a function without a rule");
       return found;
     }
@@ -486,7 +487,8 @@ globalThis.checker = (() => {
     keys(item, "a joint", "kind axis rotation");
     const axis = item.axis.map(rational), R = transposed(matrix(item.rotation.map(rational), 3));
     const one = (rows) => rows.every((x, i) => rows.every((y, j) => String(x.reduce((s, a, k) => sum(s, product(a, y[k])), zeroQ)) === (i === j ? "1,1" : "0,1")));
-    need(axis.length === 3 && R.flat().length === 9 && one([axis]) && one(R), "a joint: expected a unit axis and a rotation");
+    const minor = (i, j) => sum(product(R[0][i], R[1][j]), product(minusOne, product(R[0][j], R[1][i])));
+    need(axis.length === 3 && R.flat().length === 9 && one([axis]) && one(R) && [0, 1, 2].every((k) => String(R[2][k]) === String(minor((k + 1) % 3, (k + 2) % 3))), "a joint: expected a unit axis and a rotation");
     const [x, y, z] = axis.map((x) => g.number(x)), a = [x, y, z], turns = item.kind === "revolute";
     need(turns || item.kind === "prismatic", "a joint: expected revolute or prismatic");
     const K = turns ? [[ZERO, g.neg(z), y, ZERO], [z, ZERO, g.neg(x), ZERO], [g.neg(y), x, ZERO, ZERO]] : a.map((e) => [ZERO, ZERO, ZERO, e]);
@@ -523,11 +525,8 @@ globalThis.checker = (() => {
       found.push([line.state, g.minus(of.vector(line.before), of.inputs(line.state))]);
       found.push([`the next value of ${line.state}`, g.minus(of.next(line.state), shifted(of, line))]);
     }
-    const derivatives = new Map(), held = [...CONSTANT, "state", "command"];
-    const moves = (k) => of.between.get(g.a[k])?.[g.b[k]] ?? (held.includes(of.symbols[g.a[k]].kind) ? ZERO : NONE);
     for (const { momentum, rest } of of.plant) { // d/dt momentum + rest = 0
-      const change = g.rates(of.vector(momentum), moves, derivatives);
-      need(!change.includes(NONE), "a derivative that does not exist");
+      const change = of.exactRates(of.vector(momentum), of.between);
       found.push(["a plant identity", g.minus(change, of.vector(rest).map((x) => g.neg(x)))]);
     }
     for (const k of of.solved) found.push(["an equation that an output solves", of.vector(k)]);
@@ -541,7 +540,7 @@ globalThis.checker = (() => {
   function stepsOf(of, steps) {
     const g = of.graph, name = steps.estimate, squares = steps.rule === "least_squares", part = {};
     for (const [key, k] of Object.entries(steps.parts)) part[key] = of.vector(k);
-    const sizes = list(steps.sizes, name).map((n) => whole(n, 0, LARGEST, "a size"));
+    const sizes = list(steps.sizes, name).map((n) => whole(n, 1, LARGEST, "a size"));
     need(squares || steps.rule === "normalised", `unknown rule ${steps.rule} of steps`);
     need(part.floor.length === 1, "a floor");
     for (const key of ["true", "gain", "floor", "retention", "lower", "upper"]) of.constant(part[key] ?? [], `${name}: ${key}`);
@@ -553,7 +552,7 @@ globalThis.checker = (() => {
     };
     const theta = pieces(part.theta, sizes), gain = pieces(part.gain, sizes), moved = [], kept = [];
     const [lower, upper] = steps.box ? [pieces(part.lower, sizes), pieces(part.upper, sizes)] : [];
-    const rows = Array.from({ length: whole(steps.rows, 0, LARGEST, "rows") }, (_, k) => [pieces(part[`h${k}`], sizes), part[`y${k}`]]);
+    const rows = Array.from({ length: whole(steps.rows, 1, LARGEST, "rows") }, (_, k) => [pieces(part[`h${k}`], sizes), part[`y${k}`]]);
     const triangles = squares ? pieces(part.gathered, sizes.map((n) => (n * (n + 1)) / 2)) : [];
     sizes.forEach((n, j) => {
       let now = theta[j], G = squares ? symmetric(n, triangles[j]) : null;
@@ -746,19 +745,25 @@ globalThis.checker = (() => {
         case ADD: { const s = x + y; return s < p ? s : s - p; }
         case SUB: { const s = x - y; return s < 0n ? s + p : s; }
         case INV: return this.inverse(x);
-        case NUMBER: return this.residue(g.numbers[g.a[k]]);
+        case NUMBER:
+          if (!this.given.has(k)) this.given.set(k, this.residue(g.numbers[g.a[k]]));
+          return this.given.get(k);
         case INPUT: return this.given.get(k) ?? this.random();
       }
       const name = g.name(k), mirrored = x && p - x, even = x < mirrored ? x : mirrored;
-      if (this.frozen && BOUNDED.includes(name)) return g.a[k] && name.length === 3 && /sin|cos/.test(name) ? this.turned(`circle ${g.a[k]}`, name, 1n) : this.random();
+      if (this.frozen && BOUNDED.includes(name)) return /^(sin|cos)$/.test(name) ? this.turned(`circle of ${g.a[k]}`, name, 1n) : this.random();
       if (name === "sin" || name === "cos") return x ? this.turned(`circle at ${even}`, name, x) : BigInt(name === "cos");
       if (name === "fabs") return this.memo(`fabs ${even}`);
       return this.memo(`${name} ${x} ${UNARY.includes(name) ? "" : y}`);
     }
     turned(circle, name, angle) {
-      const { p } = this, t = this.memo(circle), scale = this.inverse((1n + t * t) % p);
-      const value = (name === "cos" ? 1n + (p - t) * t : 2n * t * (2n * angle < p ? 1n : p - 1n)) % p;
-      return (value * scale) % p;
+      const { p, memory } = this;
+      if (!memory.has(circle)) {
+        const t = this.random(), scale = this.inverse((1n + t * t) % p);
+        memory.set(circle, { cos: ((1n + (p - t) * t) * scale) % p, sin: (2n * t * scale) % p });
+      }
+      const value = memory.get(circle)[name];
+      return name === "cos" || 2n * angle < p ? value : (p - value) % p;
     }
     // Rates of change of nodes along a direction (of input nodes).
     along(nodes, direction) {
@@ -845,27 +850,27 @@ globalThis.checker = (() => {
       const values = this.bounds(nodes);
       if (!values) return -1;
       if (size > 1 && values.length === size * size) {
-        const W = matrix(values, size), half = [[1n, 2n], [1n, 2n]];
-        return definite(W.map((row, i) => row.map((x, j) => timesI(half, plusI(x, W[j][i]))))) ? 1 : -1;
+        const rows = matrix(values, size);
+        return String(rows) === String(transposed(rows)) && definite(rows) ? 1 : -1;
       }
       return Math.min(1, ...values.map((x) => (positive(x[0]) ? 1 : x[0][0] === 0n ? 0 : -1)));
     }
     inside(name, lower, true_, upper) {
       const estimate = this.of.inputs(name), [low, high] = [lower, upper].map((k) => this.bounds(spread(this.of.vector(k), estimate.length)));
       if (!low || !high) refute(`${name}: its box is not made of parameters`);
+      if (low.some((x, k) => less(high[k][0], x[1]))) refute(`${name}: its box is empty`);
       const value = this.bounds(spread(this.of.vector(true_), estimate.length));
       if (!value) this.believed.push(`${name}: its true value is inside the box`);
       estimate.forEach((node, k) => {
-        const wrong = value ? less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]) : less(high[k][1], low[k][0]);
-        if (wrong) refute(`${name}: its true value is not inside the box`);
+        if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value is not inside the box`);
         this.boxes.set(node, [low[k][0], high[k][1]]);
       });
     }
     weight(term) {
       const { rule, name, weight: W } = term, n = term.vector?.length ?? 0, sign = this.sign(W, rule === "square" ? n : 0);
-      if (rule === "square" && sign < 0) {
+      if (rule === "square" && term.role !== "cross" && !this.bounds(W)) {
         for (const item of this.of.masses) if (W.length === n * n && String(this.of.vector(item.weight)) === String(W)) return this.mass(item);
-        if (term.assumed && !this.bounds(W)) {
+        if (term.assumed) {
           this.believed.push(`${name}: its weight is positive: ${term.assumed}`);
           return 1;
         }
@@ -903,7 +908,7 @@ globalThis.checker = (() => {
         if (item.set === "box") {
           need([1, term.vector.length].includes(term.weight.length) && strict.has(term), `${name}: expected a box with a diagonal metric`);
           this.inside(name, item.lower, item.true, item.upper);
-        } else this.believed.push(`${name}: its ${item.set} contains the true value and suits the metric`);
+        } else this.believed.push(`${name}: its ${item.set} is bounded, contains the true value, and suits the metric`);
       }
       for (const { parts, box, estimate, rule } of of.steps) {
         if (this.sign(of.vector(parts.gain)) !== 1 || this.sign(of.vector(parts.floor)) !== 1) refute(`${estimate}: gain and floor of its steps are not shown to be positive`);
@@ -996,7 +1001,7 @@ globalThis.checker = (() => {
       this.closed = new Echelon(p);
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
       this.inverse = (x) => first.inverse(x);
-      this.count = 4 + of.conclusions.filter((x) => x.vector !== undefined).reduce((n, x) => n + of.vector(x.vector).length, 0);
+      this.count = 4 + of.conclusions.filter((x) => x.vector !== undefined && x.says === "goes to zero").reduce((n, x) => n + of.vector(x.vector).length, 0);
       this.span = new Echelon(p); // of all signals that vanish, at the points of the pool
       this.close();
     }
@@ -1151,7 +1156,13 @@ globalThis.checker = (() => {
     const named = (items) => items.map((item) => `${item.signal} ${item.says}`);
     let shown = [], left = of.conclusions;
     if (of.samples) left = left.filter((item) => item.estimate === undefined);
-    else if (!of.terms.some((term) => term.role === "residual")) [shown, left] = new Conclusions(of, signs, strict).check();
+    else if (!of.terms.some((term) => term.role === "residual")) {
+      [shown, left] = new Conclusions(of, signs, strict).check();
+      const [again] = new Conclusions(of, signs, strict).check(); // with another prime
+      left.push(...shown.filter((item) => !again.includes(item)));
+      shown = shown.filter((item) => again.includes(item));
+    }
+    const given = of.samples ? [] : of.symbols.filter((item) => item.kind === "trajectory").map((item) => item.label);
     return {
       status: "re-proved",
       statement: of.samples ? "V(next) - V" : "dV/dt",
@@ -1161,7 +1172,7 @@ globalThis.checker = (() => {
       kappa_above: kappa,
       only_at_exact_values_of: of.fixed.sort(),
       conclusions: of.samples ? of.steps.flatMap(fromSteps) : named(shown),
-      believed: [...BELIEVED, ...new Set(signs.believed), ...named(left)],
+      believed: [...BELIEVED, ...(given.length ? [`bounded: ${given.join(", ")}`] : []), ...new Set(signs.believed), ...named(left)],
       assumed: of.assumed,
     };
   }
