@@ -35,6 +35,7 @@ from dmframe.cli.experiment import experiment
 from dmframe.cli.groups import GroupedCommands
 from dmframe.cli.identify import identify
 from dmframe.cli.live import demo, page
+from dmframe.cli.path import path
 from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
@@ -78,7 +79,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (design, study, tune, race, which, graphs, robots, new):
+for command in (design, path, study, tune, race, which, graphs, robots, new):
     app.command()(command)
 
 
@@ -177,6 +178,9 @@ def verify(
     claim: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write the claim that was checked, as JSON.")
     ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=home, help="Write a certificate for independent checkers.")
+    ] = None,
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
     fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported
         bool, typer.Option("--fresh", help="Prove again, even if a verdict for the same inputs is remembered.")
@@ -192,7 +196,8 @@ def verify(
     replay = ["dmframe", "verify", *graph, *(word for text in overrides for word in ("--set", text))]
     found = graphs_of(graph, overrides, trust=trust)
     number = whole("--seed", seed)
-    return verify_graphs(found, report=report, claim=claim, replay=replay, seed=number, as_json=as_json)
+    files = {"claim": claim, "certificate": certificate}
+    return verify_graphs(found, report=report, files=files, replay=replay, seed=number, as_json=as_json)
 
 
 @app.command()

@@ -104,7 +104,7 @@ def jump_at(run: dm.Run, instant: float) -> float:
     return float(along(claim, recording).V[k] - along(claim, before).V[k])
 
 
-def test_v_jumps_by_what_a_hand_computes_with_pinocchio() -> None:
+def test_the_jump_of_v_is_that_computed_with_pinocchio() -> None:
     """kappa/2 (sigma' (M_new - M_old) sigma + the squares after, minus those before), with kappa = 1."""
     recording = ran().recording
     k = int(np.searchsorted(recording.time, 50 - 1e-6))

@@ -34,7 +34,7 @@ def limited(q: float, wish: float) -> float:
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(LOWER, UPPER), reals)
-def test_the_reference_is_never_beyond_its_bounds_whatever_is_wished(q: float, wish: float) -> None:
+def test_the_reference_is_within_its_bounds_for_any_desired_motion(q: float, wish: float) -> None:
     room = [UPPER - MARGIN - q, q - LOWER - MARGIN]
     found, rounding = limited(q, wish), 1e-9
     assert -min(SPEED, RATE * room[1]) - rounding <= found <= min(SPEED, RATE * room[0]) + rounding

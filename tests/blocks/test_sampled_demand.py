@@ -85,7 +85,7 @@ def test_where_a_drive_suffices_nothing_is_cut_off() -> None:
     assert rms(np.asarray(found["arm.x"] - found["path.x_d"])) < 0.1
 
 
-def test_without_a_bound_the_block_has_nothing_to_remember() -> None:
+def test_without_a_bound_the_block_has_fewer_states() -> None:
     block = block_types()["sampled_supervisor"]
     given = {
         name: np.zeros(3) for name in ("q", "dq_r", "dq_column", "dq_full", "q_column", "q_full", "lag", "epsilon")

@@ -92,7 +92,7 @@ def by_hand(law: SampledLaw, ticks: int) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(("tau", "average", "stride"), [(2.0, 1, 1), (None, 1, 1), (2.0, 3, 2)])
-def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, average: int, stride: int) -> None:
+def test_tick_by_tick_it_equals_the_law_by_hand(tau: float | None, average: int, stride: int) -> None:
     ticks = 40
     law = SampledLaw(ur10(), T, tau=tau, average=average, stride=stride)
     hand = by_hand(law, ticks)
@@ -109,7 +109,7 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
         np.testing.assert_allclose(np.linalg.norm(learnt[part]), np.linalg.norm(hand["theta"][-1, i]), rtol=1e-6)
 
 
-def test_with_six_joints_each_with_a_guess_of_its_own_it_does_what_the_law_by_hand_does() -> None:
+def test_with_six_joints_and_a_w_0_for_each_it_equals_the_law_by_hand() -> None:
     graph = Graph.read("ur10_full_sampled", ["task.damping=0"])
     maker, arm, ticks = graph.blocks["servo"], graph.blocks["arm"], 12
     hand_arm = Arm.load(str(find_robot("ur10").urdf), "ee_link", {}, arm.viscous, arm.coulomb)  # type: ignore[attr-defined]
@@ -139,7 +139,7 @@ def test_a_redundant_robot_tracks_as_well_and_keeps_its_posture() -> None:
 
 
 @pytest.mark.parametrize(("average", "retention", "inertia"), [(1, 0.98, 20.0), (2, 1.0, 0.5)])
-def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, retention: float, inertia: float) -> None:
+def test_by_least_squares_it_equals_the_law_by_hand(average: int, retention: float, inertia: float) -> None:
     """Also for points on faces of the box, and for a projection that leaves another face."""
     ticks = 40
     law = LeastSquaresLaw(ur10(), T, average=average, retention=retention, heaviest=inertia)
@@ -163,7 +163,7 @@ def test_that_agreement_would_miss_a_law_with_another_memory() -> None:
 
 
 @pytest.mark.parametrize("delay", [1, 2])
-def test_behind_a_delay_it_does_what_the_law_by_hand_does(delay: int) -> None:
+def test_behind_a_delay_it_equals_the_law_by_hand(delay: int) -> None:
     ticks = 40
     hand = by_hand(SampledLaw(ur10(), T, delay=delay), ticks)
     mine = run(SLOW, ticks * T, "task.damping=0", delay=delay)
@@ -173,7 +173,7 @@ def test_behind_a_delay_it_does_what_the_law_by_hand_does(delay: int) -> None:
     assert np.max(np.abs(unknown["arm.q"][:ticks] - hand["q"])) > 3e-3
 
 
-def test_the_observer_does_what_that_by_hand_does() -> None:
+def test_the_observer_equals_that_by_hand() -> None:
     for delay in (0, 1, 2):
         hand = by_hand(Observer(ur10(), T, delay=delay), 40)
         mine = run("ur10_slow_observer", 40 * T, "task.damping=0", delay=delay)

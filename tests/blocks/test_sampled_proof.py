@@ -168,7 +168,7 @@ def test_the_manufacturers_gravity_compensation_needs_columns_of_its_own() -> No
     assert _says(verdict(arm={"maker_gravity": 0.5})) == "inverse: what the plant's motion obeys"
 
 
-def test_of_a_pi_servo_as_a_pid_one_is_nothing_to_be_proved() -> None:
+def test_a_pi_servo_declared_as_pid_is_not_proved() -> None:
     found = verdict(PI, servo="pid")
     assert found.outcome == "not_applicable"
     assert "K_D" in found.reason

@@ -141,7 +141,7 @@ class Supervised(SampledLaw):
 
 
 @pytest.mark.parametrize(("assumed", "real"), [(0, 0), (1, 1), (0, 1)])
-def test_tick_by_tick_it_does_what_one_by_hand_does(assumed: int, real: int) -> None:
+def test_tick_by_tick_it_equals_one_by_hand(assumed: int, real: int) -> None:
     ticks = 110
     law = Supervised(ur10(), T, delay=assumed, Lambda=3.0)
     plant = Plant(law.arm, START, K_D, K_P, K_I)
@@ -164,7 +164,7 @@ def test_tick_by_tick_it_does_what_one_by_hand_does(assumed: int, real: int) -> 
     assert (last(mine, "supervisor.trips") > 0) == (real > assumed)
 
 
-def test_where_the_law_is_right_it_costs_nothing() -> None:
+def test_where_the_law_is_right_the_supervisor_has_no_effect() -> None:
     found = run(100.0)
     assert rms(error(found)) < 0.032
     assert last(found, "supervisor.trips") == 0

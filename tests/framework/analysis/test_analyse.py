@@ -401,7 +401,7 @@ def test_friction_of_the_velocity_alone_is_left_out_of_the_joint_loops_and_named
         ("{elastic_joints: {stiffness: 1e3, inertia: 1}}", "elastic_joints"),
     ],
 )
-def test_what_stands_between_servo_and_arm_is_named(reality: str, between: str) -> None:
+def test_blocks_between_servo_and_arm_are_named(reality: str, between: str) -> None:
     graph = Graph.read("ur10_slow_kinematic", [f"reality={reality}"])
     with pytest.raises(MissingError, match=f"expected one that drives arm itself, found {between} in between"):
         servo_transfer(graph.diagram, start=graph.start)

@@ -87,7 +87,7 @@ def test_m_bar_that_fails_takes_the_proof_but_not_the_identity() -> None:
 
 
 @pytest.mark.parametrize(("upper", "holds"), [(0.0125, True), (0.012499999999, False), (0.012500000001, True)])
-def test_a_box_may_end_at_the_truth_and_no_sooner(upper: float, holds: bool) -> None:
+def test_a_box_may_end_at_the_truth_but_not_before_it(upper: float, holds: bool) -> None:
     found = checked(built(inverse={"w_box": [0, upper]}))["inverse.w: true value inside the box"]  # 1/K_star = 1/80
     assert found.holds == holds
     assert found.value == pytest.approx(min(upper - 0.0125, 0.0125), abs=1e-16)

@@ -230,7 +230,7 @@ def point(mass: float) -> Any:
     return ca.DM([mass, 0.1 * mass, 0, 0, 0, 0, 0.01 * mass, 0, 0, 0.01 * mass])
 
 
-def test_a_load_lighter_than_nothing_fails_its_condition() -> None:
+def test_a_negative_mass_fails_its_condition() -> None:
     assert carrying(lambda t: point(3.0) * (t >= 1)).outcome == "proved"
     lying = carrying(lambda t: point(3.0) - point(60.0) * (t >= 20))
     assert lying.outcome == "not_applicable"

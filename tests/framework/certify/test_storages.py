@@ -95,7 +95,7 @@ def test_a_potential_of_what_is_zero_elsewhere_bounds_only_that() -> None:
     assert ("y", "goes to zero") not in says(verdict)
 
 
-def test_a_subclass_that_calls_itself_a_potential_is_not_believed() -> None:
+def test_a_subclass_of_a_potential_is_refused() -> None:
     class Sunk(Potential):  # type: ignore[misc]
         @property
         def value(self) -> Any:

@@ -82,7 +82,7 @@ def wired(wires: dict[str, str] | None = None, **blocks: AbstractBlock) -> dict[
 PLAIN = {"law.y": "cart.y", "cart.v": "law.v", "watch.y": "cart.y"}
 
 
-def test_without_one_all_is_as_it_was() -> None:
+def test_without_one_all_signals_are_unchanged() -> None:
     assert wired() == PLAIN
 
 

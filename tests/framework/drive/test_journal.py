@@ -212,7 +212,7 @@ def test_the_loop_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest
     assert len(journal.rows()) == 4 * BLOCK
 
 
-def test_what_waits_for_a_disk_that_stands_stops_the_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_that_wait_for_a_blocked_disk_stop_the_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dmframe.runtime import journal as module
 
     monkeypatch.setattr(module, "MOST_PENDING", 1000)

@@ -214,7 +214,7 @@ def test_the_package_itself_drives_the_virtual_robot(tmp_path: Path, monkeypatch
 
 @needs_ur_rtde
 @pytest.mark.parametrize("watched", [True, False])
-def test_when_its_process_is_killed_the_watchdog_stops_the_arm_and_nothing_else_would(
+def test_when_its_process_is_killed_only_the_watchdog_stops_the_arm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, watched: bool
 ) -> None:
     monkeypatch.chdir(tmp_path)

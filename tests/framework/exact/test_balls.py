@@ -245,7 +245,7 @@ def test_the_transition_of_a_held_system_is_mpmaths_to_fifty_digits(time: float)
     np.testing.assert_allclose(middles(found[0]), scipy.linalg.expm(A * time), atol=1e-12)
 
 
-def test_a_transition_keeps_its_zeros_and_that_of_nothing_is_nothing() -> None:
+def test_a_transition_keeps_its_zeros_and_an_empty_one_is_empty() -> None:
     A = np.diag([-1.0, -2.0, -3.0]) + np.diag([1.0, 0.0], 1)
     for matrix in transition(exactly(A), ball(0.1)):
         zeros = {(i, j) for i, j in np.ndindex(3, 3) if matrix[i, j].is_zero()}

@@ -272,7 +272,7 @@ def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_p
 
 
 @IN_ONE
-def test_a_page_plays_by_itself_unless_its_reader_wants_no_motion(tab: Browser, tmp_path: Path) -> None:
+def test_a_page_plays_by_itself_unless_its_reader_prefers_reduced_motion(tab: Browser, tmp_path: Path) -> None:
     page, now = saved(tmp_path, assembled(content("arm2_joint"))), "Number(document.getElementById('scrub').value)"
     tab.opened(page)
     tab.until(f"{HEADLINE}.startsWith('{PROVED}')")

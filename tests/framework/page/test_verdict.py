@@ -86,7 +86,7 @@ def test_what_was_decided_for_the_files_numbers_alone_is_open_elsewhere() -> Non
     assert "file's values only" in there["sentences"][-1]
 
 
-def test_what_was_decided_for_the_files_numbers_stands_while_what_it_reads_does() -> None:
+def test_a_decision_at_the_files_numbers_remains_while_its_inputs_do() -> None:
     data, elsewhere = stated({"at": None, "size": None, "reads": [3, 4]}, {"at": 0}), {"p": True, "run": False}
     stays, goes = said(data, *({**margins(1.0), "moved": {**elsewhere, "at": at}} for at in ([2, 5], [2, 4])))
     assert (stays["state"], goes["state"]) == ("proved", "undecided")

@@ -180,7 +180,7 @@ def around(f: Any, place: float, other: float, turned: bool, step: float) -> np.
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def test_what_is_not_an_operation_is_a_value_of_which_nothing_is_known() -> None:
+def test_what_is_not_an_operation_is_an_unknown_value() -> None:
     x = ca.SX.sym("x", 2)
     inner = ca.Function("inner", [x], [ca.sumsqr(x), x], {"never_inline": True})
     f = ca.Function("f", [x], [ca.vertcat(*inner(ca.sin(x)))])

@@ -61,7 +61,7 @@ def test_the_section_of_the_page_holds_the_maxima_of_the_run(written, content, l
     assert page.count(">Largest efforts<") == 2  # its heading, and its entry in the contents
 
 
-def test_it_stands_before_the_provenance_and_changes_no_other_section(written, largest_efforts):
+def test_it_precedes_the_provenance_and_changes_no_other_section(written, largest_efforts):
     own, plain = (
         [line for line in written(".md", *sections).splitlines() if line.startswith("## ")]
         for sections in ((largest_efforts,), ())

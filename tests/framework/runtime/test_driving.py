@@ -56,7 +56,7 @@ def test_at_its_end_the_robot_is_stopped_and_let_go() -> None:
         (standing(1, time=0.04, dq=np.full(3, 1e308))[0], "controller: a command or a state is not finite"),
     ],
 )
-def test_what_goes_wrong_is_named_and_the_robot_is_stopped(fault: Any, message: str) -> None:
+def test_each_fault_is_named_and_the_robot_is_stopped(fault: Any, message: str) -> None:
     found, robot = ended([*standing(5), fault, *standing(20)])
     assert str(found.stop) == message
     assert robot.calls[-2:] == [("stop", 2.0 if message.startswith("requested") else 20.0), "close"]
@@ -123,7 +123,7 @@ def test_it_is_moved_to_the_start_first_and_the_controller_begins_there() -> Non
     assert robot.calls == ["connect", "close"]
 
 
-def test_a_robot_that_starts_elsewhere_goes_to_the_start_and_then_runs_as_ever() -> None:
+def test_a_robot_at_another_pose_moves_to_the_start_and_then_runs_as_usual() -> None:
     q = (Q + 0.05).tolist()
     robot = simulated(graph(), start={"arm.q": q, "servo.q_c": q})
     found = driven(graph(), robot, 60, start=Q)
@@ -286,7 +286,7 @@ def test_a_drive_does_not_begin_beyond_a_limit(start: np.ndarray | None) -> None
     assert robot.calls == ["connect", ("stop", 20.0), "close"]
 
 
-def test_a_clock_that_continues_after_a_stop_has_lost_nothing() -> None:
+def test_a_clock_that_continues_after_a_stop_has_lost_no_sample() -> None:
     samples = standing(21)
     twice = [sample for sample in samples[:20] for _ in range(2)]
     found, robot = ended([*twice, samples[20]])  # each sample twice

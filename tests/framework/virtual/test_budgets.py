@@ -141,7 +141,7 @@ end
     assert ended.registers.values["output_bit_register_0"] is True
 
 
-def test_an_inverse_that_there_is_not_is_no_number_and_the_script_goes_on() -> None:
+def test_a_singular_inverse_is_nan_and_the_script_continues() -> None:
     held = robot("ur10_fast")  # three of its joints are fixed
     script = """def inverse():
   q = get_inverse_kin(p[0.1, 0.6, 0.5, 0, 0, 0])
