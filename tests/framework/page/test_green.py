@@ -1,4 +1,4 @@
-"""No setting of the sliders gives a green verdict above a V that rises by more than the page says."""
+"""No setting of the sliders gives a green verdict above a V that rises by more than is stated."""
 
 from __future__ import annotations
 

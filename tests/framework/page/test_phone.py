@@ -13,12 +13,12 @@ from dmframe.page.page import assembled
 
 HEADLINE = "document.getElementById('headline').textContent"
 FRAMES = """(async () => {
-  const asked = requestAnimationFrame, wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  const original = requestAnimationFrame, wait = (ms) => new Promise((done) => setTimeout(done, ms));
   let count = 0;
   await wait(200);
-  globalThis.requestAnimationFrame = (next) => { count++; return asked(next); };
+  globalThis.requestAnimationFrame = (next) => { count++; return original(next); };
   await wait(300);
-  globalThis.requestAnimationFrame = asked;
+  globalThis.requestAnimationFrame = original;
   return count;
 })()"""
 
