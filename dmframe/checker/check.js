@@ -10,6 +10,7 @@ globalThis.checker = (() => {
 
   class Refused extends Error {}
   class Refuted extends Error {}
+  class TooLong extends Refused {}
   const fail = (text) => { throw new Refused(text); };
   const need = (condition, text) => condition || fail(text);
   const refute = (text) => { throw new Refuted(text); };
@@ -32,7 +33,7 @@ globalThis.checker = (() => {
     if (d < 0n) [n, d] = [-n, -d];
     let [a, b] = [n < 0n ? -n : n, d];
     while (b) [a, b] = [b, a % b];
-    need(d / a < BIG && n / a < BIG && n / a > -BIG, "a number is too long");
+    if (d / a > BIG || n / a > BIG || n / a < -BIG) throw new TooLong("a number is too long");
     return [n / a, d / a];
   }
   const sum = (x, y) => fraction(x[0] * y[1] + y[0] * x[1], x[1] * y[1]);
@@ -827,6 +828,14 @@ globalThis.checker = (() => {
     constructor(of) { Object.assign(this, { of, boxes: new Map(), believed: [] }); }
     // Intervals of nodes; null if they depend on more than parameters (and boxes), or on a function.
     bounds(nodes, boxes = new Map()) {
+      try {
+        return this.intervals(nodes, boxes);
+      } catch (fault) {
+        if (fault instanceof TooLong) return null;
+        throw fault;
+      }
+    }
+    intervals(nodes, boxes) {
       const g = this.of.graph, found = new Map();
       for (const k of g.slice(nodes)) {
         const op = g.op[k], [a, b] = g.operands(k), [x, y] = [a, b].map((x) => found.get(x)), name = g.name(k);

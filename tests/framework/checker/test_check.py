@@ -64,7 +64,7 @@ def test_it_runs_without_the_framework_and_its_exit_status_is_the_outcome(tmp_pa
     assert run().returncode == 2
 
 
-def _faults(data: dict[str, Any]) -> Iterator[tuple[str, Callable[[dict[str, Any]], None]]]:
+def faults(data: dict[str, Any]) -> Iterator[tuple[str, Callable[[dict[str, Any]], None]]]:
     """Seeded faults of a certificate in continuous time, by name."""
     stored = [term for term in data["terms"] if term["role"] == "stored"]
     read = (
@@ -127,7 +127,7 @@ def _faults(data: dict[str, Any]) -> Iterator[tuple[str, Callable[[dict[str, Any
 
 @pytest.mark.parametrize("name", ["pendulum", "arm2_joint", "ur10_fast"])
 def test_every_seeded_fault_is_refuted(name: str) -> None:
-    seeded = list(_faults(certificate(name)))
+    seeded = list(faults(certificate(name)))
     assert len(seeded) > 20
     for fault, apply in seeded:
         data = certificate(name)
@@ -158,7 +158,7 @@ def test_faults_over_samples_are_refuted() -> None:
     assert outcome(data)[0] == "refuted"
 
 
-def _false_files() -> Iterator[tuple[str, dict[str, Any], str]]:
+def false_files() -> Iterator[tuple[str, dict[str, Any], str]]:
     """Files that state more than is true, written with the checker's rules at hand."""
     data = certificate("pendulum")
     data["terms"] = [term for term in data["terms"] if term["role"] == "cross"]
@@ -216,7 +216,7 @@ def _false_files() -> Iterator[tuple[str, dict[str, Any], str]]:
     yield "a state that is declared constant", data, "refused"
 
 
-def _attacks() -> Iterator[tuple[str, dict[str, Any], str]]:
+def attacks() -> Iterator[tuple[str, dict[str, Any], str]]:
     """Files that use a side condition which a rule must have."""
 
     def constant(data: dict[str, Any], *values: str) -> int:
@@ -293,7 +293,7 @@ def _attacks() -> Iterator[tuple[str, dict[str, Any], str]]:
 
 
 def test_side_conditions_are_checked() -> None:
-    for what, data, expected in _attacks():
+    for what, data, expected in attacks():
         found, reason = outcome(data)
         if expected == "believed":
             assert found == "re-proved", (what, reason)
@@ -305,7 +305,7 @@ def test_side_conditions_are_checked() -> None:
 
 
 def test_false_files_are_not_accepted() -> None:
-    for what, data, expected in _false_files():
+    for what, data, expected in false_files():
         if expected == "believed":
             found = checker().check(data)
             assert "w goes to zero" in found["believed"]
