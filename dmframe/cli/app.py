@@ -38,6 +38,7 @@ from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
+from dmframe.cli.studio import studio
 from dmframe.cli.which import which
 from dmframe.common.errors import DmframeError
 from dmframe.common.files import check_place
@@ -320,7 +321,7 @@ def page(
     tell(f"wrote {place}")
 
 
-for command in (blocks, learn, schema):
+for command in (studio, blocks, learn, schema):
     app.command()(command)
 
 
