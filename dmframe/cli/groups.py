@@ -8,6 +8,7 @@ from typer.core import TyperGroup
 
 GROUPS: Final[dict[str, dict[str, str]]] = {
     "Start": {
+        "demo": "Open a live page: a controller next to its rivals.",
         "design": "Design a controller for a robot.",
         "which": "Choose a controller by five questions.",
         "new": "Copy a packaged graph, or write one for a robot.",

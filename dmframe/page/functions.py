@@ -34,7 +34,8 @@ class Group:
     Parameters
     ----------
     kind
-        ``error``, ``turn`` (orientation error of a tool), ``storage``, ``command`` or ``estimate``.
+        ``error``, ``turn`` (orientation error of a tool), ``storage``, ``steps`` (source whose steps start a new V),
+        ``command`` or ``estimate``.
     label
         Label ``block.name`` of the signal.
     of
@@ -177,6 +178,10 @@ def functions_of(
             "V", [loop.state, loop.time, loop.p], [loop.on_path(loop.acting([stored])[0])]
         ).n_instructions()
         groups.append(add("storage", "", "", stored))
+        for signal in loop.outputs:
+            name = signal.label.rpartition(".")[2]
+            if any(out.steps and out.name == name for out in diagram.models[signal.block].block.outputs):
+                groups.append(add("steps", signal.label, signal.unit, ca.vec(signal.expression)))
     for leaf in loop.commanded:
         if leaf.name.rpartition(".")[2].endswith("_c"):
             groups.append(add("command", leaf.name, units.get(leaf.name, ""), ca.vec(leaf.symbol)))

@@ -14,7 +14,7 @@ AXES: Final = (4, 7)
 FINGERS: Final = 2
 """A branch with at most so many moving joints in a row is part of a gripper or a head."""
 FINGER: Final = 4
-"""Most moving joints of a finger of a hand."""
+"""Largest number of moving joints in a finger."""
 FLANGES: Final = re.compile(r"tool0|tcp|flange|tool|ee|eef|end.?effector|gripper_frame|link_?8|attachment|pinch", re.I)
 """Names of tool frames, as makers use them."""
 JAWS: Final = re.compile(r"jaw|finger|claw|knuckle|^(gripper|hand)(_joint)?$", re.I)

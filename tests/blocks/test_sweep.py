@@ -1,4 +1,4 @@
-"""What every block of the catalogue and every packaged graph keeps."""
+"""Properties of every block of the catalogue and of every packaged graph."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BLOCKS = block_types()
 GRAPHS = sorted(graphs())
 LETTERS = set("nmpkhcdrWANGEHFwC")
 
-# blocks that no packaged graph uses run in one of these
+# blocks that no packaged graph uses are run in one of these
 EXAMPLES = {
     "setpoint": """
 dmframe: 1
@@ -111,7 +111,7 @@ wires:
 EXAMPLES["gripper"] = EXAMPLES["reset_compensator"]
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
-# no proof in continuous time reaches what stands between controller and robot
+# no proof in continuous time includes channel models between controller and robot
 UNPROVED = {
     "kinematic_command",
     "velocity_probe",
@@ -123,7 +123,7 @@ UNPROVED = {
     "extended_state_observer",
     "path_pace",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
-} - {"joint_stops"}  # which may only tell
+} - {"joint_stops"}  # which may only print
 
 
 def types_in(file: Path) -> set[str]:
@@ -221,4 +221,4 @@ def test_a_packaged_graph_builds_and_stays_finite(name: str) -> None:
     assert run.divergence is None
     assert run.time[-1] == pytest.approx(2.0, abs=0.1)
     assert all(np.all(np.isfinite(rows)) for rows in (*run.states.values(), *run.outputs.values()))
-    assert np.ptp(run["arm.q"], axis=0).max() > 1e-3  # something moves
+    assert np.ptp(run["arm.q"], axis=0).max() > 1e-3  # a signal changes

@@ -32,7 +32,7 @@ class Chromium(Browser):
         self.motion(False)
 
     def ask(self, method: str, session: str | None = "", **params: Any) -> dict[str, Any]:
-        """One command's result; what comes in between is kept in `said`."""
+        """Result of one command; events in between are stored in `said`."""
         number = self._send(method, session, params)
         while True:
             answer = self._next()
@@ -44,7 +44,7 @@ class Chromium(Browser):
                 return result
             if answer.get("method") in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded"):
                 entry = answer["params"].get("entry", {})
-                if entry.get("source") != "rendering":  # the browser's own remarks on a machine without a graphics card
+                if entry.get("source") != "rendering":  # messages about a missing graphics card
                     self.said.append(json.dumps(answer["params"])[:600])
 
     def _send(self, method: str, session: str | None, params: dict[str, Any]) -> int:
@@ -93,14 +93,14 @@ class Chromium(Browser):
         self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=True)
 
     def motion(self, wanted: bool) -> None:
-        """Whether the reader wants motion; without, a robot that stands still leaves time for the rest."""
+        """Whether the reader prefers motion; without it, a stationary robot leaves computing time for the rest."""
         calm = [] if wanted else [{"name": "prefers-reduced-motion", "value": "reduce"}]
         self.ask("Emulation.setEmulatedMedia", features=calm)
 
 
 @contextmanager
 def chromium(folder: Path, *more: str) -> Iterator[Chromium]:
-    """A browser with a fresh profile in `folder` and `more` options; the test is skipped where there is none."""
+    """A browser with a fresh profile in `folder` and `more` options; the test is skipped if there is none."""
     found = shutil.which("chromium") or shutil.which("google-chrome")
     if found is None or shutil.which("bash") is None:
         pytest.skip("chromium is not installed")

@@ -100,9 +100,9 @@ export class Loop {
     return most;
   }
 
-  // Initial state of a run, and its pose.
-  initial(p, shift, tick) {
-    const { q, notice } = this.initialPose(p, shift);
+  // Initial state of a run, and its pose, which may be given.
+  initial(p, shift, tick, pose = null) {
+    const { q, notice } = pose ? { q: pose, notice: "" } : this.initialPose(p, shift);
     this.view("p", p.length).set(p);
     this.view("pose", q.length).set(q);
     this.view("T", 1)[0] = tick;
@@ -206,12 +206,12 @@ export class Loop {
     return radius(J);
   }
 
-  // Simulates one run. `shift`: offset of the initial joint positions; `tick`, `horizon`: default those of the file; `most`:
+  // Simulates one run. `shift`: offset of the initial joint positions, or `pose`: these positions; `tick`, `horizon`: default those of the file; `most`:
   // largest work, beyond which the run ends early at time `short`. Result: `times`, states in `log` and plotted outputs in
   // `drawn` at the recorded instants.
-  simulate({ p, shift = null, tick = this.content.tick, horizon = this.content.horizon, most = MOST_WORK }) {
+  simulate({ p, shift = null, pose = null, tick = this.content.tick, horizon = this.content.horizon, most = MOST_WORK }) {
     const { content } = this, ticks = Math.max(1, Math.round(horizon / tick)), notices = [];
-    const { q, notice, state: start } = this.initial(p, shift, tick);
+    const { q, notice, state: start } = this.initial(p, shift, tick, pose);
     if (notice) notices.push(notice);
 
     const usual = steps(tick, content.step ?? content.solver.plain, content.solver.most);
