@@ -35,6 +35,7 @@ from dmframe.cli.experiment import experiment
 from dmframe.cli.groups import GroupedCommands
 from dmframe.cli.identify import identify
 from dmframe.cli.live import demo, page
+from dmframe.cli.path import path
 from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
@@ -79,7 +80,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (design, study, tune, race, which, graphs, robots, new):
+for command in (design, path, study, tune, race, which, graphs, robots, new):
     app.command()(command)
 
 

@@ -12,6 +12,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {
         "design": "Design a controller for a robot.",
         "which": "Choose a controller by five questions.",
         "new": "Copy a packaged graph, or write one for a robot.",
+        "path": "Write a recorded path as a block for a graph.",
         "graphs": "List the packaged graphs.",
         "robots": "List the packaged robots, or describe one.",
         "blocks": "List the block types, or describe one.",
