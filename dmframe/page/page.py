@@ -20,10 +20,12 @@ from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.page.content import content_of
 from dmframe.page.periods import Periods
+from dmframe.page.proof import Proof, proof_of
 from dmframe.page.rivals import Rival
 
-SCRIPTS: Final = ("solver.js", "verdict.js", "rivals.js", "plot.js", "scene.js", "sliders.js", "page.js")
+SCRIPTS: Final = ("solver.js", "verdict.js", "rivals.js", "plot.js", "scene.js", "sliders.js", "proof.js", "page.js")
 """Scripts in the order of the page."""
+NO_PROOF: Final = Proof()
 ENDINGS: Final = (".html", ".htm")
 MARK: Final = b'<script type="application/json" id="data">'
 """Marker of a live page."""
@@ -56,7 +58,8 @@ class Page(AboutGraph):
     @cached_property
     def html(self) -> str:
         """HTML of the page."""
-        return assembled(content_of(self.graph, self.verdict, self.periods, self.rivals))
+        content = content_of(self.graph, self.verdict, self.periods, self.rivals)
+        return assembled(content, proof_of(self.graph, self.verdict))
 
     def save(self, path: str | Path) -> Path:
         """Write the page; raises `OutputError` for an ending other than .html, or if it cannot be written."""
@@ -89,31 +92,34 @@ def check_own_place(path: Path) -> None:
         raise OutputError(f"{path}: expected no file or an older live page, found another file; name one with --out")
 
 
-def assembled(content: dict[str, Any]) -> str:
+def assembled(content: dict[str, Any], proof: Proof = NO_PROOF) -> str:
     """HTML of a page from its data.
 
-    The content security policy allows only the script and style of the page, by their hashes, and no connection, so
-    that user texts in a graph cannot run or load anything.
+    The content security policy allows only the script and style of the page and the checker of its certificate, by
+    their hashes, and no connection, so that user texts in a graph cannot run or load anything.
     """
     web = files("dmframe.page").joinpath("web")
     texts = {name: _bare(web.joinpath(name).read_text("utf-8")) for name in ("page.html", "page.css", *SCRIPTS)}
     script, style = "\n".join(texts[name] for name in SCRIPTS), texts["page.css"]
     parts = {
         "TITLE": _escaped(content["title"] or content["name"]),
-        "POLICY": policy(f"\n{script}\n", f"\n{style}\n"),
+        "POLICY": policy(f"\n{script}\n", f"\n{style}\n", proof.script),
         "STYLE": style,
         # a text of a graph must not end the script element
         "DATA": json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "SCRIPT": script,
+        "CERTIFICATE": proof.certificate,
+        "CHECKER": proof.checker,
     }
-    return re.sub("@(TITLE|POLICY|STYLE|DATA|SCRIPT)@", lambda mark: parts[mark[1]], texts["page.html"])
+    return re.sub("@(TITLE|POLICY|STYLE|DATA|SCRIPT|CERTIFICATE|CHECKER)@", lambda mark: parts[mark[1]], texts["page.html"])
 
 
-def policy(script: str, style: str) -> str:
-    """Content security policy that allows only this script and this style (texts between their tags)."""
+def policy(script: str, style: str, checker: str = "") -> str:
+    """Content security policy that allows only these scripts and this style (texts between their tags)."""
+    scripts = " ".join(_hash(text) for text in (script, checker) if text)
     allowed = {
         "default-src": "'none'",
-        "script-src": f"{_hash(script)} 'wasm-unsafe-eval'",
+        "script-src": f"{scripts} 'wasm-unsafe-eval'",
         "style-src": _hash(style),
         "img-src": "data:",
         "connect-src": "'none'",
