@@ -111,7 +111,7 @@ def assembled(content: dict[str, Any], proof: Proof = NO_PROOF) -> str:
         "CERTIFICATE": proof.certificate,
         "CHECKER": proof.checker,
     }
-    return re.sub("@(TITLE|POLICY|STYLE|DATA|SCRIPT|CERTIFICATE|CHECKER)@", lambda mark: parts[mark[1]], texts["page.html"])
+    return re.sub(f"@({'|'.join(parts)})@", lambda mark: parts[mark[1]], texts["page.html"])
 
 
 def policy(script: str, style: str, checker: str = "") -> str:

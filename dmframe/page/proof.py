@@ -8,11 +8,14 @@ import zlib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import final
+from typing import Final, final
 
 from dmframe.certify import Verdict
 from dmframe.certify.published import certificate_text
 from dmframe.config import BaseGraph
+
+NODE: Final = "\nif (typeof module"
+"""Start of the lines of `check.js` that run in Node alone."""
 
 
 @final
@@ -25,9 +28,9 @@ class Proof:
     certificate
         The certificate file.
     checker
-        `check.js` without comments and indentation.
+        The text of `script`.
     script
-        The text of `checker`, which the page's content security policy allows by its hash.
+        `check.js`, which the page's content security policy allows by its hash.
     """
 
     certificate: str = ""
@@ -45,13 +48,15 @@ def proof_of(graph: BaseGraph, verdict: Verdict) -> Proof:
 
 @cache
 def checker_script() -> str:
-    """`check.js` without comments and indentation."""
-    return bare(files("dmframe.checker").joinpath("check.js").read_text("utf-8"))
+    """`check.js` for a page: without comments, indentation, spaces at operators, and what Node alone runs."""
+    script, _, _ = files("dmframe.checker").joinpath("check.js").read_text("utf-8").partition(NODE)
+    lines = re.sub(r"^[ \t]*(//.*)?\n?| // .*$", "", script, flags=re.MULTILINE).splitlines(keepends=True)
+    return "".join(line if "/" in line or line.count("`") > 2 else _close(line) for line in lines)
 
 
-def bare(text: str) -> str:
-    """Remove indentation, comment lines and comments at the ends of lines."""
-    return re.sub(r"^[ \t]*(//.*)?\n?| // .*$", "", text, flags=re.MULTILINE)
+def _close(line: str) -> str:
+    """Remove spaces at operators outside of texts."""
+    return re.sub(r"(\"[^\"]*\"|`[^`]*`)| ?([-=<>+*?:,;{}&|!]+) ?", lambda found: found[1] or found[2], line)
 
 
 def packed(text: str) -> str:

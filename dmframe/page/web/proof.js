@@ -3,42 +3,34 @@
 
 const LONG = 1e5; // a longer certificate is checked on request, because its check would block the page for a second
 
-async function prove() {
-  const [certificate, program] = await Promise.all(["certificate", "checker"].map(async (id) => {
-    return new TextDecoder().decode(await unpacked(document.getElementById(id).textContent));
-  }));
-  const place = document.getElementById("proof"), button = document.createElement("button");
-  button.type = "button";
-  button.className = "small";
-  button.textContent = "Check the proof in this browser";
+async function prove(place) {
+  const read = async (id) => new TextDecoder().decode(await unpacked(document.getElementById(id).textContent));
+  const certificate = await read("certificate"), program = await read("checker");
+  const button = element("button", "Check the proof in this browser", { type: "button", className: "small" });
   button.onclick = () => {
-    const script = document.createElement("script");
-    script.textContent = program;
-    document.head.append(script);
-    showProof(place, globalThis.checker?.check(JSON.parse(certificate)));
+    document.head.append(element("script", program));
+    place.replaceChildren(proofOf(checker.check(JSON.parse(certificate))));
   };
   place.hidden = false;
   if (certificate.length > LONG) place.append(button);
-  else (globalThis.requestIdleCallback ?? setTimeout)(button.onclick);
+  else setTimeout(button.onclick);
 }
 
-function showProof(place, found) {
-  const summary = document.createElement("summary"), parts = document.createElement("details");
-  parts.append(summary);
-  place.replaceChildren(parts);
-  place.dataset.status = found?.status ?? "not run";
-  if (found?.status !== "re-proved") {
-    summary.textContent = `The certificate in this page is ${found?.status ?? "not checked"}: ${found?.reason ?? "its program did not run"}`;
-    return;
-  }
-  const { conclusions, believed, robot, statement, points, log2_error: error } = found;
-  summary.textContent = `Proved again in this browser, by a program that is independent of dmframe: the identity of ${statement} ` +
-    `at ${points} random points, with an error below 2^${error}, and ${conclusions.length} conclusions; ${believed.length} statements are believed`;
-  for (const [title, lines] of Object.entries({ Conclusions: [...robot, ...conclusions], Believed: believed, Assumed: found.assumed })) {
-    const list = document.createElement("ul");
-    list.append(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
-    parts.append(Object.assign(document.createElement("p"), { textContent: title }), list);
-  }
+function element(kind, textContent, more) {
+  return Object.assign(document.createElement(kind), { textContent, ...more });
 }
 
-if (document.getElementById("certificate").textContent) prove();
+function proofOf({ status, reason, conclusions, believed, robot, assumed, statement, points, log2_error: error }) {
+  if (status !== "re-proved") return element("p", `The certificate in this page is ${status}: ${reason}`);
+  const all = element("details");
+  all.append(element("summary", `Proved again in this browser by a program that is independent of dmframe: the identity of ${statement} ` +
+    `at ${points} random points, with an error below 2^${error}, and ${conclusions.length} conclusions; ${believed.length} statements are believed`));
+  for (const [title, lines] of Object.entries({ Conclusions: [...robot, ...conclusions], Believed: believed, Assumed: assumed })) {
+    const list = element("ul");
+    list.append(...lines.map((line) => element("li", line)));
+    all.append(element("p", title), list);
+  }
+  return all;
+}
+
+if (document.getElementById("certificate").textContent) prove(document.getElementById("proof"));

@@ -128,16 +128,13 @@ def _corrupted(name: str, seed: int) -> dict[str, Any]:
             parts[key] = parts[other]
 
     def part() -> None:
-        if not data["terms"]:
-            return step()
-        term, other = one(data["terms"]), one(data["terms"])
-        key, value = one(sorted(term["parts"])), one(sorted(other["parts"].values()))
-        term["parts"][key] = value
+        if data["terms"]:
+            term, other = one(data["terms"]), one(data["terms"])
+            term["parts"][one(sorted(term["parts"]))] = one(sorted(other["parts"].values()))
 
     def role() -> None:
-        if not data["terms"]:
-            return step()
-        one(data["terms"])["role"] = one(["stored", "dissipated", "residual", "cross"])
+        if data["terms"]:
+            one(data["terms"])["role"] = one(["stored", "dissipated", "residual", "cross"])
 
     def number() -> None:
         values = data["numbers"][one(sorted(data["numbers"]))]
@@ -167,7 +164,22 @@ def _corrupted(name: str, seed: int) -> dict[str, Any]:
         if data.get("masses"):
             data["masses"][0][one(["position", "translations", "inertia"])] = int(rng.integers(len(data["vectors"])))
 
-    one([constant, operand, operation, element, rate, part, role, number, conclusion, kind, projection, joint, body])()
+    changes = [
+        constant,
+        operand,
+        operation,
+        element,
+        rate,
+        part,
+        role,
+        number,
+        conclusion,
+        kind,
+        projection,
+        joint,
+        body,
+    ]
+    one([*changes, step])()
     return data
 
 
