@@ -1418,7 +1418,7 @@ def from_steps(of):
         yield {"signal": f"the error of {name} in the direction of its rows", "says": "is square-summable where eta is"}
 
 
-def check(data):
+def check(data: dict) -> dict:
     """Result of the check, as JSON data; raises `Refused` or `Refuted`."""
     of = Certificate(data)
     signs = Signs(of)
@@ -1450,7 +1450,7 @@ def check(data):
     }
 
 
-def main(arguments):
+def main(arguments: list) -> int:
     paths = [x for x in arguments if x != "--json"]
     if len(paths) != 1:
         sys.stderr.write("usage: python check.py FILE [--json]\n")
