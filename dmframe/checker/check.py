@@ -1205,7 +1205,8 @@ class Conclusions:
 
     def bounded(self, wanted, own="", seen=()):
         """True if these numbers are bounded. The correction of a projection is, where its nominal rate is, if that does
-        not depend on a correction that is being decided; `own` is the state whose rate is decided."""
+        not depend on a correction that is being decided; `own` is the state whose rate is decided.
+        """
         if any(x != 0 for x in self.along(wanted, 0, self.random_open())):
             return False
         of, reads = self.of, set()

@@ -1,8 +1,8 @@
 """The chain from a certificate to a robot: the files of a folder that name a model, compared with the folder's graph.
 
 Each run, export, page, rehearsal, drive and certificate contains the hash of the model that it was made from
-(`Diagram.fingerprint`). `audit` computes that of the graph again and compares; it checks certificates by the independent
-checker, digests of sealed folders, the robot's file, and exported C by exporting it again.
+(`Diagram.fingerprint`). `audit` computes that of the graph again and compares. It checks certificates by the
+independent checker, digests of sealed folders, the robot's file, and exported C by exporting it again.
 """
 
 from __future__ import annotations
