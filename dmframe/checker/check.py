@@ -1203,8 +1203,10 @@ class Conclusions:
             total = [(x + factor * y) % self.p for x, y in zip(total, u)]
         return total
 
-    def bounded(self, wanted, seen=()):
-        """True if these numbers are bounded. Corrections of projections are, where their nominal rates are."""
+    def bounded(self, wanted, own="", seen=()):
+        """True if these numbers are bounded. The correction of a projection is, where its nominal rate is, if that does
+        not depend on a correction that is being decided; `own` is the state whose rate is decided.
+        """
         if any(x != 0 for x in self.along(wanted, 0, self.random_open())):
             return False
         of, reads = self.of, set()
@@ -1213,8 +1215,10 @@ class Conclusions:
             reads |= of.reads(part if kind != "input" else [*part, *of.linear[k]["rates"][row[0]]])
             if kind != "value":
                 reads |= of.reads([of.rates[label] for label in of.reads(part) if label in of.rates])
-        corrected = [x["state"] for x in of.projections if x["correction"] in reads and x["state"] not in seen]
-        return all(self.bounded([("value", of.rates[label])], (*seen, *corrected)) for label in corrected)
+        corrected = [x["state"] for x in of.projections if x["correction"] in reads and x["state"] != own]
+        return not {*corrected} & {*seen} and all(
+            self.bounded([("value", of.rates[label])], label, (*seen, label)) for label in corrected
+        )
 
     def close(self):
         """Closes all directions that bounded signals determine."""
@@ -1418,7 +1422,7 @@ def from_steps(of):
         yield {"signal": f"the error of {name} in the direction of its rows", "says": "is square-summable where eta is"}
 
 
-def check(data):
+def check(data: dict) -> dict:
     """Result of the check, as JSON data; raises `Refused` or `Refuted`."""
     of = Certificate(data)
     signs = Signs(of)
@@ -1450,7 +1454,7 @@ def check(data):
     }
 
 
-def main(arguments):
+def main(arguments: list) -> int:
     paths = [x for x in arguments if x != "--json"]
     if len(paths) != 1:
         sys.stderr.write("usage: python check.py FILE [--json]\n")
