@@ -29,7 +29,8 @@ CHANGES: Final = 24
 """Corrupted files of one certificate."""
 
 
-def _node() -> str:
+def node_path() -> str:
+    """Path of Node; the test is skipped without it."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed")
@@ -39,7 +40,7 @@ def _node() -> str:
 def _in_node(files: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Result of `check.js` for each file."""
     done = subprocess.run(
-        [_node(), "-e", DRIVER, str(SCRIPT)], input=json.dumps(files), capture_output=True, text=True, check=False
+        [node_path(), "-e", DRIVER, str(SCRIPT)], input=json.dumps(files), capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     found: list[dict[str, Any]] = json.loads(done.stdout)
@@ -60,7 +61,7 @@ def _agrees(data: dict[str, Any], found: dict[str, Any], what: str = "") -> str:
 
 @pytest.mark.parametrize("name", sorted(graphs()))
 def test_both_prove_the_same_of_every_graph(name: str) -> None:
-    _node()
+    node_path()
     if not dm.load(name).verify().proved:
         pytest.skip("it has no proof")
     data = certificate(name)
@@ -70,7 +71,7 @@ def test_both_prove_the_same_of_every_graph(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["pendulum", "arm2_joint", "ur10_fast"])
 def test_a_seeded_fault_is_refuted(name: str) -> None:
-    _node()
+    node_path()
     files, names = [], []
     for fault, apply in faults(certificate(name)):
         data = certificate(name)
@@ -83,7 +84,7 @@ def test_a_seeded_fault_is_refuted(name: str) -> None:
 
 
 def test_a_file_that_states_more_than_is_true_is_not_accepted() -> None:
-    _node()
+    node_path()
     files = [*false_files(), *attacks()]
     for (what, data, _), found in zip(files, _in_node([data for _, data, _ in files]), strict=True):
         _agrees(data, found, what)
@@ -187,7 +188,7 @@ def _corrupted(name: str, seed: int) -> dict[str, Any]:
     "name", ["pendulum", "arm2_joint", "ur10_fast", "torque_consistent_pi", "ur10_slow_repetitive"]
 )
 def test_both_decide_the_same_of_a_corrupted_file(name: str) -> None:
-    _node()
+    node_path()
     files = list(map(partial(_corrupted, name), range(CHANGES)))
     found = [
         _agrees(data, result, f"{name}, seed {seed}")
@@ -200,7 +201,7 @@ def test_it_runs_alone_and_its_exit_status_is_the_outcome(tmp_path: Path) -> Non
     path, data = tmp_path / "file.json", certificate("pendulum")
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [_node(), str(SCRIPT), str(path), *words]
+        command = [node_path(), str(SCRIPT), str(path), *words]
         return subprocess.run(command, capture_output=True, text=True, check=False)
 
     path.write_text(json.dumps(data))
