@@ -59,7 +59,8 @@ class Page(AboutGraph):
     def html(self) -> str:
         """HTML of the page."""
         content = content_of(self.graph, self.verdict, self.periods, self.rivals)
-        return assembled(content, proof_of(self.graph, self.verdict))
+        # a page that compares controllers, which the package contains, stays small without a certificate
+        return assembled(content, NO_PROOF if content["rivals"] else proof_of(self.graph, self.verdict))
 
     def save(self, path: str | Path) -> Path:
         """Write the page; raises `OutputError` for an ending other than .html, or if it cannot be written."""
