@@ -16,9 +16,10 @@ from dmframe.common.files import write_text, writing
 from dmframe.design.checks import checks_of
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, worth
-from dmframe.design.designed import RACE, RESULTS, SUMMARY, Designed
+from dmframe.design.designed import LIMITS, RACE, RESULTS, SUMMARY, Designed
 from dmframe.design.family import Family, identified, makers
 from dmframe.design.handover import command_of, handed_over, set_aside
+from dmframe.design.limits import limits_text
 from dmframe.design.motion import Motion, first_path, motion_of, own_motion, tool_motion
 from dmframe.design.path_file import PathFile, read_path
 from dmframe.design.points import points_of
@@ -101,7 +102,9 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
         family = makers(first, found.payload, motion.seconds)
     else:
         family = identified(log, found.payload, motion.seconds, found.clock)
-    found = replace(found, notes=motion.notes)
+    found = replace(found, notes=motion.notes, seconds=motion.seconds)
+    if all(joint.kind == "revolute" for joint in chain.joints):
+        write_text(found.folder / LIMITS, limits_text(motion, chain))
     finished = _raced(first, family, motion, found, workers, progress)
     contest = Contest(finished, (finished.race.file.entrant, ADAPTIVE), workers)
     return _chosen(contest, finished.race, motion, family, replace(found, ranking=contest.ranking), progress)
