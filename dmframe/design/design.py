@@ -90,9 +90,13 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
     motion = _motion(request, path, first, chain)
     log = None
     if request.log is not None:
-        log = identify(request.log, request.robot, out=found.folder / LOG, say=lambda text: progress.say("robot", text))
+        graph = str(found.folder / FIRST)  # with the tool and the held joints of the request
+        log = identify(request.log, graph, out=found.folder / LOG, say=lambda text: progress.say("robot", text))
         if not log.known:
-            return replace(found, reason="no class of servo explains the log: see identified/report.html")
+            reason = (
+                "no class of servo explains the log: see identified/report.html; without --log the servo is assumed"
+            )
+            return replace(found, reason=reason)
         first, found = _identified(log, request, found)
         chain = _saved(first, found.folder)
         motion = _motion(request, path, first, chain)
