@@ -241,12 +241,13 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         inertia = np.maximum(inertia, np.diag(data.M))
         torque = np.maximum(torque, np.abs(pin.computeGeneralizedGravity(chain.model, data, configuration)))
         motion = np.full(chain.n, SPEED), np.full(chain.n, ACCELERATION)
-        regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, *motion)
+        # Pinocchio drops the axis of a single joint
+        regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, *motion).reshape(chain.n, -1)
         # the columns of a rotor and of viscous and Coulomb friction have one element each
         rows = np.maximum(rows, np.sum(regressor**2, axis=1) + ACCELERATION**2 + SPEED**2 + 1)
         jacobian = pin.computeFrameJacobian(
             chain.model, data, configuration, chain.model_tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )[:3]
+        ).reshape(6, -1)[:3]
         values = np.linalg.svd(jacobian, compute_uv=False)
         margin = np.min(np.minimum(q - lower, upper - q) / np.maximum(upper - lower, 1e-9))
         score = values[min(chain.n, 3) - 1] / max(values[0], 1e-9) * min(1.0, 4 * margin)
