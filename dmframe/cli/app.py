@@ -40,6 +40,7 @@ from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
+from dmframe.cli.studio import studio
 from dmframe.cli.which import which
 from dmframe.common.errors import DmframeError
 from dmframe.common.files import check_place
@@ -303,7 +304,7 @@ def draw(
     tell(f"wrote {out}")
 
 
-for command in (demo, page, blocks, learn, schema):
+for command in (demo, page, studio, blocks, learn, schema):
     app.command()(command)
 
 

@@ -22,6 +22,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {
         "check": "Build a graph; print blocks, wires, shapes, units.",
         "explain": "Describe a graph and its certificate in sentences.",
         "run": "Simulate graphs; write signals, figures, a summary.",
+        "studio": "Edit a graph in a browser, with its verdict.",
         "draw": "Draw the block diagram.",
         "page": "Write a live page that simulates in a browser.",
     },
