@@ -85,6 +85,12 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
     progress.say("robot", "reading the robot")
     first = first_graph(request.robot, found.folder, request.tool, dict(request.hold))
     chain = _saved(first, found.folder)
+    if sliding := [joint.name for joint in chain.joints if joint.kind == "prismatic"]:
+        reason = (
+            f"{sliding[0]} is a prismatic joint, and a robot with one cannot be rehearsed; hold it with --hold "
+            f"{sliding[0]}=POSITION"
+        )
+        return replace(found, reason=reason)
     path = None if request.path is None else read_path(request.path, chain)
     found = replace(found, task=request.task or (path.kind if path else "joints"))
     motion = _motion(request, path, first, chain)
@@ -107,8 +113,7 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
     else:
         family = identified(log, found.payload, motion.seconds, found.clock)
     found = replace(found, notes=motion.notes, seconds=motion.seconds)
-    if all(joint.kind == "revolute" for joint in chain.joints):
-        write_text(found.folder / LIMITS, limits_text(motion, chain))
+    write_text(found.folder / LIMITS, limits_text(motion, chain))
     finished = _raced(first, family, motion, found, workers, progress)
     contest = Contest(finished, (finished.race.file.entrant, ADAPTIVE), workers)
     return _chosen(contest, finished.race, motion, family, replace(found, ranking=contest.ranking), progress)
@@ -127,7 +132,8 @@ def _saved(first: FirstGraph, folder: Path) -> SerialChain:
 def _identified(log: Identified, request: Request, found: Designed) -> tuple[FirstGraph, Designed]:
     """First graph of the identified robot, and its sampling period."""
     write_text(found.folder / TWIN, robot_text(log))
-    first = first_graph(str(found.folder / TWIN), found.folder, TOOL)
+    count = len(log.fit.unknowns.model.chain.joints)
+    first = first_graph(str(found.folder / TWIN), found.folder, TOOL, axes=(count, count))
     return first, replace(found, clock=request.clock or max(clock_of(log), CLOCK))
 
 
