@@ -202,6 +202,20 @@ def verify(
 
 
 @app.command()
+def audit(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", callback=home, help="A folder with a graph.")],
+    as_json: AsJson = False,
+    trust: Trust = False,
+) -> int:
+    """Compare certificates, code, runs, rehearsals and drives of a folder with the model of its graph."""
+    from dmframe.graph.audit import audit as follow
+
+    found = follow(folder, trust=trust)
+    tell(json.dumps(found.summary, indent=2) if as_json else str(found))
+    return 0 if found.holds else 1
+
+
+@app.command()
 def analyse(
     graph: OneGraph,
     overrides: Overrides = NOTHING,

@@ -28,6 +28,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {
     },
     "Proof and analysis": {
         "verify": "Prove dV/dt for all gains, and check the conditions.",
+        "audit": "Compare the files of a folder with its graph's model.",
         "analyse": "Linearise: margins, poles, largest stable period.",
         "regressor": "Print or write the regressor of a robot; prove it.",
     },
