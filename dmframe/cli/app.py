@@ -40,6 +40,7 @@ from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
+from dmframe.cli.studio import studio
 from dmframe.cli.which import which
 from dmframe.common.errors import DmframeError
 from dmframe.common.files import check_place
@@ -201,6 +202,20 @@ def verify(
 
 
 @app.command()
+def audit(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", callback=home, help="A folder with a graph.")],
+    as_json: AsJson = False,
+    trust: Trust = False,
+) -> int:
+    """Compare certificates, code, runs, rehearsals and drives of a folder with the model of its graph."""
+    from dmframe.graph.audit import audit as follow
+
+    found = follow(folder, trust=trust)
+    tell(json.dumps(found.summary, indent=2) if as_json else str(found))
+    return 0 if found.holds else 1
+
+
+@app.command()
 def analyse(
     graph: OneGraph,
     overrides: Overrides = NOTHING,
@@ -303,7 +318,7 @@ def draw(
     tell(f"wrote {out}")
 
 
-for command in (demo, page, blocks, learn, schema):
+for command in (demo, page, studio, blocks, learn, schema):
     app.command()(command)
 
 

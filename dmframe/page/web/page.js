@@ -107,6 +107,7 @@ function showVerdict(p) {
     make("tr", { class: holds ? "yes" : holds === null ? "open" : "no" },
       ...[name, margin === null ? "" : figure(margin), holds ? (how === "sampled" ? "sampled, not proved" : "holds") : holds === null ? "not decided here" : "fails"].map((text) => make("td", {}, text)))));
   run.proved = verdict.proved;
+  if (parent !== window) parent.postMessage({ state: verdict.state, headline: verdict.headline, edit: sliders.edit }, "*");
 }
 
 // Buttons of the graph: those whose values are set, and what they say.
@@ -352,6 +353,12 @@ find("copy").onclick = async () => {
     getSelection().selectAllChildren(find("command"));
   }
 };
+// An editor that embeds this page sends the parameters of an edited graph with the same loop, and the edit's number.
+addEventListener("message", ({ source, data }) => {
+  if (parent === window || source !== parent || !Array.isArray(data?.p) || data.p.length !== content.p.length) return;
+  Object.assign(sliders, { edited: data.p.map(Number), edit: data.edit });
+  request(false);
+});
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
 const sliders = new Sliders(content, find("sliders"), request, (text) => (find("about").textContent = text));
 key();

@@ -216,6 +216,94 @@ def _false_files() -> Iterator[tuple[str, dict[str, Any], str]]:
     yield "a state that is declared constant", data, "refused"
 
 
+def _attacks() -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Files that use a side condition which a rule must have."""
+
+    def constant(data: dict[str, Any], *values: str) -> int:
+        program, places = data["program"], []
+        for value in values:
+            program["constants"].append(value)
+            program["code"].append(program["operations"].index("const"))
+            program["a"].append(len(program["constants"]) - 1)
+            program["b"].append(0)
+            places.append(len(program["code"]) - 1)
+        data["vectors"].append([len(places), places])
+        return len(data["vectors"]) - 1
+
+    data = certificate("arm2_joint")
+    term = next(
+        term
+        for term in data["terms"]
+        if (term["role"] == "stored" and "q - q_r" in term["name"]) or term["name"] == "task: q - q_d"
+    )
+    data["vectors"].append([2, data["vectors"][constant(data, "1", "0", "4", "1")][1]])
+    term["parts"]["weight"] = len(data["vectors"]) - 1
+    yield "a matrix with positive pivots that is not symmetric", data, "refuted"
+
+    data = certificate("arm2_joint")
+    data["masses"][0]["joints"][0]["axis"] = ["0", "0", "0"]
+    yield "a joint without an axis", data, "refused"
+
+    data = certificate("arm2_joint")
+    data["masses"][0]["joints"][1]["rotation"] = ["-1", "0", "0", "0", "1", "0", "0", "0", "1"]
+    yield "a reflection", data, "refused"
+
+    data = certificate("arm2_joint")
+    data["masses"][0]["motion"] = dict.fromkeys(
+        ("velocity", "acceleration", "gravity", "torque"), constant(data, "0", "0")
+    )
+    data["masses"][0]["motion"]["gravity"] = constant(data, "0", "0", "0")
+    yield "a robot at rest", data, "refuted"
+
+    data = certificate("arm2_joint")
+    data["steps"] = certificate("ur10_slow_repetitive")["steps"]
+    yield "steps in continuous time", data, "refused"
+
+    data = certificate("arm2_joint")
+    for term in data["terms"]:
+        if term["name"] == "inverse: sigma" or (term["role"] == "stored" and term["rule"] == "square"):
+            term["assumed"] = "it is"
+            term["parts"]["weight"] = replaced(data, term["parts"]["weight"])
+            break
+    yield "a negative weight that is assumed to be positive", data, "refuted"
+
+    data = certificate("arm2_joint")
+    last = constant(data, "3")
+    place = data["vectors"][last][1][0]
+    data["program"]["operations"].append("sq")
+    for _ in range(60):
+        data["program"]["code"].append(len(data["program"]["operations"]) - 1)
+        data["program"]["a"].append(place)
+        data["program"]["b"].append(place)
+        place = len(data["program"]["code"]) - 1
+    data["vectors"].append([1, [place]])
+    data["conditions"].append({"name": "huge", "text": "", "margin": len(data["vectors"]) - 1, "strict": True})
+    yield "a number of 2^60 digits", data, "refused refuted believed"
+
+    data = certificate("ur10_slow_repetitive")
+    data["steps"][0]["rows"] = -1
+    yield "a negative number of rows", data, "refused"
+
+    data = certificate("arm2_joint")
+    data["ranks"] = [{"name": "R", "matrix": constant(data, "0", "0")}]
+    data["conclusions"].append(
+        {"signal": "w", "says": "goes to zero", "step": "", "assumes": [], "vector": data["rates"]["servo.q_c"]}
+    )
+    yield "a matrix of full rank that is zero", data, "believed"
+
+
+def test_side_conditions_are_checked() -> None:
+    for what, data, expected in _attacks():
+        found, reason = outcome(data)
+        if expected == "believed":
+            assert found == "re-proved", (what, reason)
+            assert "w goes to zero" in checker().check(data)["believed"]
+        elif "believed" in expected:
+            assert found != "re-proved" or "condition: huge" in checker().check(data)["believed"]
+        else:
+            assert found in expected.split(), (what, found, reason)
+
+
 def test_false_files_are_not_accepted() -> None:
     for what, data, expected in _false_files():
         if expected == "believed":
