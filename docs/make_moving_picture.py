@@ -22,7 +22,7 @@ FIRST = 12.0  # [s], when the controller has adapted
 WINDOW = (1400, 860)
 PART = (12, 160, 1074, 824)  # [pixels]: robot, errors and V
 WIDTH = 760  # [pixels], of the picture
-COLOURS = 200
+COLOURS = 128
 FILE = Path(__file__).parent / "images" / "ur10_demo.gif"
 
 
