@@ -256,16 +256,16 @@ def test_without_the_right_input_nothing_bounds_the_goal(inputs: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("inputs", "otherwise", "says"),
+    ("inputs", "otherwise", "reports"),
     [
         (lambda u, p: (u.f_ext,), BOUNDED, "expected no input or 2 for the 2 vectors"),
         (lambda u, p: (0, u.f_ext / p.M_a), (), "expected assumptions as otherwise, together with the inputs"),
     ],
 )
-def test_an_input_without_an_assumption_is_refused_by_name(inputs: Any, otherwise: Any, says: str) -> None:
+def test_an_input_without_an_assumption_is_refused_by_name(inputs: Any, otherwise: Any, reports: str) -> None:
     verdict = without(certificate=driven(inputs, otherwise))
     assert verdict.outcome == "not_applicable"
-    assert says in verdict.reason
+    assert reports in verdict.reason
 
 
 def test_a_normal_without_a_direction_is_refused() -> None:

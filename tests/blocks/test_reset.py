@@ -228,7 +228,7 @@ def test_what_a_drawing_states_of_the_load_takes_its_error_out_of_v() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "reports"),
     [
         ({"at": [1, 1]}, "expected increasing times"),
         ({"at": [1, 2], "mass": [1]}, "expected at for each of 1 masses, found 2"),
@@ -236,6 +236,6 @@ def test_what_a_drawing_states_of_the_load_takes_its_error_out_of_v() -> None:
         ({"at": [1], "center": [[0, 0, 0]]}, "expected a mass for each center and inertia, found none"),
     ],
 )
-def test_a_schedule_that_no_gripper_can_have_is_refused(values: dict[str, Sequence[Any]], says: str) -> None:
-    with pytest.raises(DmframeError, match=says):
+def test_a_schedule_that_no_gripper_can_have_is_refused(values: dict[str, Sequence[Any]], reports: str) -> None:
+    with pytest.raises(DmframeError, match=reports):
         Gripper(**values)
