@@ -203,7 +203,7 @@ def test_it_is_proved_and_what_the_environment_has_to_do_is_assumed(name: str) -
 def without(**methods: Any) -> Verdict:
     """The proof with methods of the admittance replaced."""
     graph = small()
-    given = {"__module__": Admittance.__module__, "__doc__": "With a fault, and no law in prose.", **methods}
+    given = {"__module__": Admittance.__module__, "__doc__": "With a fault, and without printed laws.", **methods}
     kind = type(Admittance)("Admittance", (Admittance,), given)
     block = kind(**graph.blocks["compliance"].model_dump())
     return verify(Diagram.build({**graph.blocks, "compliance": block}, graph.file.wires, graph.robot))

@@ -313,7 +313,7 @@ def test_columns_for_all_links_estimate_a_load_too_and_that_is_proved_between_it
         item.text for item in verdict.assumptions if "constant between its steps; the proof holds between" in item.text
     ]
     assert printed.startswith("load.a_load is bounded")
-    assert printed.endswith("there jumps what dynamics and arm store, and nothing else")
+    assert printed.endswith("at a step only the storage functions of dynamics and arm jump")
 
 
 def test_the_true_parameters_are_those_of_the_last_link_with_the_load_as_pinocchio_has_them() -> None:

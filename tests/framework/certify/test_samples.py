@@ -190,8 +190,8 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
         ("greedy", "learner: next value of theta"),
         ("cut", "learner: next value of theta"),
         ("other_gain", "learner: next value of theta"),
-        ("forgetful", "learner: what rows keeps"),
-        ("backwards", "learner: what the plant's motion obeys"),
+        ("forgetful", "learner: next value of rows"),
+        ("backwards", "learner: plant identity"),
         ("unsolved", "learner: equation solved by its output"),
     ],
 )
