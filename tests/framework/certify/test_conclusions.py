@@ -183,7 +183,7 @@ def test_a_false_claim_about_what_drives_a_state_leaves_it_open(rate, rest):
 
 
 def test_a_property_of_a_driven_signal_that_was_not_shown_requires_its_conditions():
-    text = "somebody knows that z stays bounded"
+    text = "it is known that z stays bounded"
     verdict = _driven(lambda x, p: -p.k, lambda x, p: p.k * x.z + x.x, (Assumption(text),))
     assert text in {item.text for item in verdict.assumptions}
 
