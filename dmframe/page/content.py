@@ -152,6 +152,7 @@ def _sizes(functions: Functions) -> dict[str, int]:
         "shown": functions.shown.numel_out(0),
         "judged": functions.judged.numel_out(0),
         "reach": 0 if functions.reach is None else functions.reach.numel_out(0),
+        "stored": 0 if functions.stored is None else functions.stored.numel_out(0),
         "scene": functions.scene,
     }
 

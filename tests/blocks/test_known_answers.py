@@ -91,6 +91,37 @@ def test_waypoints_are_met_at_rest_and_passed_half_way_at_half_time() -> None:
     close(answer("waypoints", given, t=1.5)["q_d"], [2 * quarter, 1 + 4 * quarter])
 
 
+def test_waypoints_are_met_with_their_velocities_and_accelerations() -> None:
+    rows = {"q_d": [[0, 1], [2, 5], [3, 4]], "dq_d": [[0, 0], [0.5, -0.3], [0, 0]], "ddq_d": [[0, 0], [0.2, 4], [0, 0]]}
+    given, h = {"times": [1, 3, 4], **rows}, 1e-3
+
+    def at(t: float, **more: Any) -> Any:
+        return np.array(answer("waypoints", given | more, t=t)["q_d"]).ravel()
+
+    for t, q_d in ((0.0, [0, 1]), (1.0, [0, 1]), (3.0, [2, 5]), (4.0, [3, 4]), (9.0, [3, 4])):
+        close(at(t), q_d)
+    before, middle, after = at(3 - h), at(3), at(3 + h)
+    np.testing.assert_allclose((after - before) / (2 * h), [0.5, -0.3], atol=1e-4)
+    np.testing.assert_allclose((after - 2 * middle + before) / h**2, [0.2, 4], atol=2e-2)
+    for t in (1.0, 1.7, 3.2):  # there and back in 6 s
+        np.testing.assert_allclose(at(8 - t, after="returns"), at(t), atol=1e-12)
+        np.testing.assert_allclose(at(6 + t, after="returns"), at(t), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"dq_d": [[0.0], [1.0]]}, "expected dq_d of zero at the first and the last point"),
+        ({"dq_d": [[0.0]]}, "expected as many rows of dq_d as times, found 1 and 2"),
+        ({"dx_d": [[0.0], [0.0]]}, "expected dq_d with q_d, found dx_d"),
+        ({"after": "repeats"}, "expected the last point to be the first one"),
+    ],
+)
+def test_waypoints_with_rates_that_do_not_fit_are_refused(more: dict[str, Any], text: str) -> None:
+    with pytest.raises(DmframeError, match=text):
+        find_block("waypoints")(**{"times": [0, 1], "q_d": [[0.0], [1.0]], **more})
+
+
 def test_velocity_steps_change_at_their_times_and_ramps_after_them() -> None:
     given = {"times": [1, 3], "speeds": [[0.2, -0.4], [0, 0.1]]}
     for t, dq_r in ((0.0, [0, 0]), (0.999, [0, 0]), (1.0, [0.2, -0.4]), (2.999, [0.2, -0.4]), (9.0, [0, 0.1])):

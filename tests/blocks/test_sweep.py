@@ -75,6 +75,11 @@ EXAMPLES["sampled_joint_tracking"] = (
     .replace("known_tracking, gamma: 1", "sampled_joint_tracking, gain_margin: 3")
     .replace("kinematic_command", "disturbance_observer, alpha: 0")
 )
+EXAMPLES["joint_waypoints"] = EXAMPLES["sampled_joint_tracking"].replace(
+    "waypoints, times: [0, 1], q_d: [[0.5, 0.9], [0.02, 1.41]]",
+    "joint_waypoints, times: [0, 0.5, 1], q_d: [[0.5, 0.9], [0.3, 1.1], [0.02, 1.41]], "
+    "dq_d: [[0, 0], [-0.4, 0.5], [0, 0]], after: returns",
+)
 EXAMPLES["force_sensor"] = (
     EXAMPLES["setpoint"]
     + "  wall:     {type: wall, point: [0, 0.45], normal: [0, -1], stiffness: 100}\n"

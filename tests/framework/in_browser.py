@@ -44,9 +44,9 @@ class Browser(ABC):
     def sized(self, width: int | None, height: int | None = None) -> None:
         """Set the page to the size of a phone; without numbers, to that of the window."""
 
-    def until(self, expression: str) -> Any:
+    def until(self, expression: str, turns: int = TURNS) -> Any:
         """The expression's value as soon as it is true."""
-        for _ in range(TURNS):
+        for _ in range(turns):
             if found := self.value(f"document.readyState === 'complete' && ({expression})"):
                 return found
             self.value("new Promise((done) => setTimeout(done, 30))")

@@ -85,7 +85,7 @@ def check_module(found: Verification, made: Functions, state: np.ndarray, p: np.
     rng = np.random.default_rng(0)
     for function in (flow(found), *made.exported):
         given = [rng.uniform(0.2, 1.0, function.numel_in(i)) for i in range(function.n_in())]
-        if function.name() in ("flow", "shown"):
+        if function.name() in ("flow", "shown", "stored"):
             given[0] = state + rng.uniform(-0.01, 0.01, state.size)
         given[-1] = p
         sizes = [function.numel_out(j) for j in range(function.n_out())]

@@ -21,7 +21,7 @@ if (content.robot) content.robot.meshes = await Promise.all(content.robot.meshes
 const plots = [], texts = new Map(); // text by element id
 // `perMs`: solver work per millisecond, measured in the last run
 let run = null, perMs = Infinity, scene = null, inks = {}, frames = null;
-let time = 0, hover = null, playing = !still, pace = 1, before = 0, lastRead = 0, waiting = false;
+let inView = true, time = 0, hover = null, playing = !still, pace = 1, before = 0, lastRead = 0, waiting = false;
 let requested = null, factor = content.enlarge; // of the deviation that the scene draws
 
 // ---- simulation
@@ -33,7 +33,7 @@ function request(quick) {
 
 function simulate(quick) {
   const p = sliders.numbers, started = performance.now();
-  run = loop.simulate({ p, shift: sliders.shift, tick: sliders.tick, most: quick ? Math.max(2000, QUICK * perMs) : MOST_WORK });
+  run = loop.simulate({ p, shift: sliders.shift, tick: sliders.tick, dense: !quick, most: quick ? Math.max(2000, QUICK * perMs) : MOST_WORK });
   const took = performance.now() - started;
   if (run.work > 2000) perMs = run.work / Math.max(took, 1);
   if (run.short) run.notices.push(quick ? `while the slider moves, only the first ${plain(run.short, "s")} are simulated` : `the integrator's steps are so short that only the first ${plain(run.short, "s")} are simulated`);
@@ -63,10 +63,10 @@ function climb(p) {
   const group = content.groups.find(({ kind }) => kind === "storage"), last = run.kept - 1;
   if (!group || last < 1) return null;
   const rows = Array.from({ length: group.size }, (_, k) => column(group.of, group.at + k));
-  const V = run.times.map((_, k) => rows.reduce((sum, values) => sum + values[k], 0));
+  const V = run.V?.values ?? run.times.map((_, k) => rows.reduce((sum, values) => sum + values[k], 0)), end = V.length - 1;
   const sampled = [0, 1, 2, 3, 4, 5, 6, 7, 8].map((k) => loop.roundingError(run, Math.round((k * last) / 8), p, run.tick, group));
-  const rounding = V.map((_, k) => Math.max(sampled[Math.floor((8 * k) / last)], sampled[Math.ceil((8 * k) / last)]));
-  return climbOf(V, rounding, stepsAt());
+  const rounding = V.map((_, k) => Math.max(sampled[Math.floor((8 * k) / end)], sampled[Math.ceil((8 * k) / end)]));
+  return climbOf(V, rounding, run.V?.restarts ?? stepsAt());
 }
 
 // Recorded instants at which a source has stepped since the one before.
@@ -107,6 +107,7 @@ function showVerdict(p) {
     make("tr", { class: holds ? "yes" : holds === null ? "open" : "no" },
       ...[name, margin === null ? "" : figure(margin), holds ? (how === "sampled" ? "sampled, not proved" : "holds") : holds === null ? "not decided here" : "fails"].map((text) => make("td", {}, text)))));
   run.proved = verdict.proved;
+  if (parent !== window) parent.postMessage({ state: verdict.state, headline: verdict.headline, edit: sliders.edit }, "*");
 }
 
 // Buttons of the graph: those whose values are set, and what they say.
@@ -121,10 +122,11 @@ function score() {
   const group = content.groups.find(({ kind }) => kind === "error"), { horizon } = content;
   if (!rivals.length) return;
   const mine = { title: "This controller", note: "", run: { ...run, norm: normOf(run, group, content.sizes.shown) }, colour: 0 };
+  const all = [mine, ...rivals].map(({ run: { times, norm } }) => lastRms(times, norm, horizon)), { power, prefix } = prefixed(Math.max(...all), group.unit);
   const rows = [mine, ...rivals.map((rival) => ({ ...rival, colour: rival.ghost ? 1 + ghosts.indexOf(rival) : null }))].map(({ title, note, run: { times, norm, divergence }, colour }) => {
     const rms = lastRms(times, norm, horizon), key = make("i", {});
     if (colour !== null) key.style.setProperty("--key", `var(--c${colour})`);
-    const text = divergence ? `diverges at ${plain(divergence.time, "s")}` : rms === null ? "" : plain(rms, group.unit);
+    const text = divergence ? `diverges at ${plain(divergence.time, "s")}` : rms === null ? "" : `${figure(rms / 10 ** power)} ${prefix}${group.unit}`;
     return make("tr", {}, make("td", {}, key), make("td", {}, title, note && make("small", {}, note)), make("td", {}, text));
   });
   find("scores").replaceChildren(make("caption", {}, `Error, RMS from ${plain(horizon * 0.8, "s")} to ${plain(horizon, "s")}`), ...rows);
@@ -191,7 +193,7 @@ function curves(quick) {
       const total = run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0));
       shown = plot.whole ? [{ name: "V", colour: 0, wide: true, values: total }] : rows.filter(({ values }) => values.some((value) => value > 0));
       const left = plot.whole && shown[0].values.at(-1) / shown[0].values[0];
-      plot.say(!run.proved ? "no proof at these values" : plot.whole ? `the sum of all storage functions, at the end ${figure(100 * left)} % of its start${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} instants` : ""}` : "");
+      plot.say(!run.proved ? "no proof at these values" : plot.whole ? `the sum of all storage functions, at the end ${figure(100 * left)} % of its start${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} ${run.V ? "samples" : "instants"}` : ""}` : "");
     }
     if (group.kind === "command" && measured(group)) {
       const { label } = measured(group);
@@ -262,13 +264,13 @@ function drawScene(at) {
 
 // Names of the lines in the scene.
 function key() {
-  const by = factor > 1 ? `, deviation × ${factor}` : "", entry = (kind, text, colour) => {
+  const entry = (kind, text, colour) => {
     const line = make("i", { class: kind });
     if (colour) line.style.setProperty("--key", `var(--c${colour})`);
     return make("span", {}, line, text);
   };
-  find("key").replaceChildren(entry("trace", `tool${by}`), ...ghosts.map(({ title }, k) => entry("ghost", `${title}${by}`, k + 1)), entry("path", "desired"));
-  find("enlarge").textContent = `${factor} ×`;
+  find("key").replaceChildren(entry("trace", "tool"), ...ghosts.map(({ title }, k) => entry("ghost", title, k + 1)), entry("path", "desired"));
+  find("enlarge").textContent = `deviation × ${factor}`;
   find("enlarge").setAttribute("aria-pressed", factor > 1);
 }
 
@@ -303,7 +305,7 @@ function turn(now) {
   const last = run.times.at(-1);
   if (playing && hover === null) time = time >= last + pace ? 0 : time + passed * pace; // a pause of one second at the end
   const at = Math.min(hover ?? time, last);
-  if (scene) drawScene(at);
+  if (scene && inView) drawScene(at);
   const read = !playing || hover !== null || now - lastRead > 120;
   if (read) lastRead = now;
   for (const plot of plots) {
@@ -315,7 +317,7 @@ function turn(now) {
   find("scrub").style.setProperty("--part", `${last ? (100 * at) / last : 0}%`);
   set("clock", `${at.toFixed(last < 1 ? 3 : 1)} / ${plain(last, "s")}`);
   find("scrub").setAttribute("aria-valuetext", texts.get("clock").replace("/", "of"));
-  if (playing) wake();
+  if (playing && (inView || plots.some(({ seen }) => seen))) wake(); // idle where nothing is in sight
 }
 
 function play(on) {
@@ -336,7 +338,7 @@ find("view").hidden = find("transport").hidden = !content.robot;
 find("guided").hidden = !content.buttons.length;
 find("guided").prepend(...content.buttons.map(({ name, title }) => make("button", { type: "button", id: `button-${name}`, "aria-pressed": false }, title)));
 for (const button of content.buttons) find(`button-${button.name}`).onclick = () => sliders.press(button, Math.min(hover ?? time, content.horizon));
-find("scores").hidden = !rivals.length;
+new IntersectionObserver(([entry]) => { inView = entry.isIntersecting; wake(); }).observe(find("view"));
 find("enlarge").hidden = content.enlarge === 1;
 find("enlarge").onclick = () => { factor = factor > 1 ? 1 : content.enlarge; key(); lines(); wake(); };
 find("play").onclick = () => play(!playing);
@@ -351,6 +353,12 @@ find("copy").onclick = async () => {
     getSelection().selectAllChildren(find("command"));
   }
 };
+// An editor that embeds this page sends the parameters of an edited graph with the same loop, and the edit's number.
+addEventListener("message", ({ source, data }) => {
+  if (parent === window || source !== parent || !Array.isArray(data?.p) || data.p.length !== content.p.length) return;
+  Object.assign(sliders, { edited: data.p.map(Number), edit: data.edit });
+  request(false);
+});
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
 const sliders = new Sliders(content, find("sliders"), request, (text) => (find("about").textContent = text));
 key();

@@ -35,7 +35,7 @@ class Scene {
     if (!flat) this.normal = 2;
     this.home = {
       turn: flat && this.normal === 0 ? 0 : flat ? -Math.PI / 2 : -0.75, lift: !flat ? 0.4 : this.normal === 2 ? 1.4 : 0.1,
-      far: (flat ? 2.4 : 2.1) * Math.hypot(...spans), target: box.high.map((high, k) => (high + box.low[k]) / 2),
+      far: (flat ? 2.4 : 1.8) * Math.hypot(...spans), target: box.high.map((high, k) => (high + box.low[k]) / 2),
     };
     this.camera = { ...this.home };
     this.kept = {};
@@ -159,7 +159,7 @@ class Scene {
   // `frames`: rotation and position of each joint (12 numbers) and position of the tool (3); `aim`: desired position of
   // the tool, or null; `traces`: polylines from segment `from` to `past`, each with a ball at its end; `inks`: colours.
   draw({ frames, aim, traces, inks }) {
-    const { canvas, gl } = this, ratio = Math.min(devicePixelRatio || 1, 2);
+    const { canvas, gl } = this, ratio = Math.min(devicePixelRatio || 1, 1.5);
     const [wide, high] = [canvas.clientWidth, canvas.clientHeight];
     if (!wide || !high) return;
     const [w, h] = [Math.round(wide * ratio), Math.round(high * ratio)];

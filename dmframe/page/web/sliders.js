@@ -8,6 +8,7 @@ class Sliders {
   constructor(content, holder, request, about) {
     Object.assign(this, { content, request, about });
     this.moved = new Map(); // factor or shift by slider label
+    this.edited = null; // parameters of an edited graph with the same loop, instead of those of the page's file
     this.fixed = new Map(); // values by parameter label, set by a button
     this.pressed = false;
     this.rows = [];
@@ -138,7 +139,7 @@ class Sliders {
 
   // Parameters of the loop; changed ones are rounded to 6 digits, so that the command line gives the same values.
   get numbers() {
-    const p = this.content.p.slice();
+    const p = (this.edited ?? this.content.p).slice();
     for (const { label, kind, at, size } of this.content.sliders) {
       if (!this.moved.has(label)) continue;
       const value = this.moved.get(label);
@@ -157,9 +158,11 @@ class Sliders {
     const ofStart = (label) => label.startsWith("start["), labels = [...this.moved.keys()], { sliders, starts, p } = this.content;
     const at = new Set(sliders.filter(({ label }) => this.moved.has(label)).flatMap(({ at, size }) => Array.from({ length: size }, (_, k) => at + k)));
     for (const { at: first, values } of this.fixed.values()) values.forEach((_, k) => at.add(first + k));
+    this.edited?.forEach((value, k) => { if (value !== p[k]) at.add(k); });
+    const changed = at.size > 0;
     const start = labels.some(ofStart) || starts.reads.some((place) => at.has(place)), clock = this.moved.has("clock");
     if (start) for (const row of starts.rows) at.add(p.length + row);
-    return { p: this.fixed.size > 0 || labels.some((label) => label !== "clock" && !ofStart(label)), at, start, clock, run: clock || labels.some(ofStart) };
+    return { p: changed, at, start, clock, run: clock || labels.some(ofStart) };
   }
 
   // Updates all sliders from the parameters and the initial pose.

@@ -58,23 +58,26 @@ const GREAT = 0.5; // rise from which it is red
 // Largest increase of V above an earlier value, and number of instants with an increase; `rounding`: error of each value.
 // A step of a source at an instant of `restarts` starts a new V.
 export function climbOf(V, rounding, restarts = []) {
-  let low = 0, rise = 0, rises = 0, least = V[0], fall = 0, first = 0;
+  let low = 0, rise = 0, rises = 0, sum = 0, least = V[0], fall = 0, first = 0;
   const jumps = [];
   for (let k = 1; k < V.length && Number.isFinite(V[k]); k++) {
-    if (restarts.includes(k)) {
+    if (restarts[jumps.length] === k) {
       jumps.push(k);
       fall += V[first] - least;
       [low, first, least] = [k, k, V[k]];
       continue;
     }
-    if (V[k] - V[k - 1] > rounding[k] + rounding[k - 1]) rises++;
+    if (V[k] - V[k - 1] > rounding[k] + rounding[k - 1]) {
+      rises++;
+      sum += V[k] - V[k - 1];
+    }
     if (V[k] < V[low]) low = k;
     const above = V[k] - V[low];
     if (above > rounding[k] + rounding[low]) rise = Math.max(rise, above);
     least = Math.min(least, V[k]);
   }
   fall += V[first] - least;
-  return { rise, rises, steps: V.length - 1, fraction: fall > 0 ? rise / fall : null, jumps };
+  return { rise, rises, steps: V.length - 1, fraction: fall > 0 ? rise / fall : null, total: fall > 0 ? sum / fall : null, jumps };
 }
 
 function riseText(climb, every) {
@@ -82,7 +85,7 @@ function riseText(climb, every) {
   const of = `${climb.steps} ${every > 1 ? "recorded instants" : "samples"}`;
   const jumps = climb.jumps?.length ? " A step of the load or of another source starts a new V." : "";
   if (!climb.rises && !climb.rise) return `In this run V rose at none of ${of}.${jumps}`;
-  const amount = climb.fraction === null ? "and was never below its initial value" : `by at most ${figure(100 * climb.fraction)} % of its decrease`;
+  const amount = climb.fraction === null ? "and was never below its initial value" : `by at most ${figure(100 * climb.fraction)} % of its decrease${climb.total == null ? "" : `, in sum by ${figure(100 * climb.total)} %`}`;
   return `In this run V rose at ${climb.rises} of ${of}, ${amount}.${jumps}`;
 }
 
@@ -125,7 +128,7 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
     const rest = `${open.length > 1 ? `${open.length} conditions are` : "One condition is"} ${where}`;
     return found(risen === 2 ? "fails" : "undecided", risen === 2 ? unlike : "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
   }
-  const clock = clockAt(content, moved, run.tick), rose = riseText(run.climb, run.every);
+  const clock = clockAt(content, moved, run.tick), rose = riseText(run.climb, run.V ? 1 : run.every);
   const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them sampled, not proved)` : "";
   const over = verdict.uncertain?.length ? ` and anywhere in the intervals of ${verdict.uncertain.join(", ")}` : "";
   const hold = `All ${rows.length} conditions hold at ${changed ? "these values" : "the file's values"}${over}${samples}${weight}.`;

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from dmframe.common.errors import DmframeError, MissingError, RobotError
+from dmframe.graph.first import first_graph
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.convert import read_any, written
 from dmframe.robot.flange import flange_of
@@ -299,3 +301,22 @@ def test_a_fragment_of_an_mjcf_file_is_refused_without_lines_of_the_parser(tmp_p
     path.write_text("<mujoco><asset/></mujoco>")
     with pytest.raises(RobotError, match=r"cannot read this MJCF file: MJCF [\w :]+$"):
         read_any(path)
+
+
+def test_a_file_without_a_base_and_an_mjcf_file_with_a_missing_class_are_refused(tmp_path: Path) -> None:
+    macros = tmp_path / "macros.urdf"
+    for links, found in (
+        ("", "there is none"),
+        (
+            '<link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+            '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>',
+            "a",
+        ),
+    ):
+        macros.write_text(f'<robot name="r">{links}</robot>')
+        with pytest.raises(RobotError, match=found):
+            first_graph(str(macros), tmp_path)
+    mjcf = tmp_path / "arm.xml"
+    mjcf.write_text('<mujoco><worldbody><body childclass="none"><geom size="1"/></body></worldbody></mujoco>')
+    with pytest.raises(RobotError, match="refers to nothing"):
+        first_graph(str(mjcf), tmp_path)
