@@ -32,7 +32,7 @@ WORDS: Final[dict[str, str]] = {
     "anew": "again",
     "somebody|anybody|someone": "name the subject",
     "what becomes of|of its own accord|for want of|so far as|may well": "state the result, the cause, the condition",
-    "believes?|believed|speaks?": "assumes, states",
+    "speaks?": "states",
     "beneath|upon": "below, on",
 }
 """Pattern of the private word, and what to write."""
