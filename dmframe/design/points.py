@@ -59,6 +59,11 @@ class Points:
         """Time after which the repeated path is at its start again [s]."""
         return float(self.times[-1] - self.times[0]) * (1 if self.after == "repeats" else 2)
 
+    @property
+    def extent(self) -> tuple[Array, Array]:
+        """Least and largest positions (n, 2), and largest velocities (n,), at the points."""
+        return np.column_stack([self.q.min(axis=0), self.q.max(axis=0)]), np.max(np.abs(self.dq), axis=0)
+
     def slower(self, factor: float) -> Points:
         """The same points, passed with a velocity that is smaller by a factor."""
         rates = self.dq / factor, self.ddq / factor**2
@@ -164,19 +169,24 @@ def check_limits(t: Array, q: Array, chain: SerialChain) -> None:
                 f"{q[k, j]:.4g} {unit} after {t[k]:.3g} s"
             )
     rates = [np.max(np.abs(values), axis=0) for values in (dq, ddq)]
-    limits = np.array([joint.velocity for joint in chain.joints])
+    limits = speeds(chain)
     slower = np.maximum(rates[0] / limits, np.sqrt(rates[1] / ACCELERATION))
     j = int(np.argmax(slower))
     if slower[j] <= 1:
         return
     joint, unit = chain.joints[j], "rad" if chain.joints[j].kind == "revolute" else "m"
     need = f"a velocity of {plain(rates[0][j], f'{unit}/s')}, whose limit is {plain(joint.velocity, f'{unit}/s')}"
-    if rates[0][j] <= joint.velocity:
+    if rates[0][j] <= limits[j]:
         need = (
             f"an acceleration of {plain(rates[1][j], f'{unit}/s^2')}, and the compared laws are for at most "
             f"{ACCELERATION:g} {unit}/s^2"
         )
     raise RobotError(f"the path requires of {joint.name} {need}: pass it in {slower[j]:.3g} times its time")
+
+
+def speeds(chain: SerialChain) -> Array:
+    """Velocity limits of the joints; infinite if there are none, for which some files have 0."""
+    return np.array([joint.velocity if joint.velocity > 0 else np.inf for joint in chain.joints])
 
 
 def _interpolated(file: PathFile) -> Any:
