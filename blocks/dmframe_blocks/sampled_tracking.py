@@ -25,12 +25,10 @@ from dmframe_blocks._identified_delay import (
     DELAY_HAT,
     IDENTIFIED,
     MOST_DELAY,
-    check_delay,
-    chosen,
     longest,
     needs_delay,
 )
-from dmframe_blocks._margins import gain_at_limit
+from dmframe_blocks._margins import check_gain, ends_of_sample, gain_at_limit
 
 
 @final
@@ -124,17 +122,8 @@ class SampledTracking(AbstractBlock):
 
     @model_validator(mode="after")
     def _has_one_gain(self) -> Self:
-        given = [name for name in ("gamma", "Lambda", "gain_margin") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(
-                "expected one of gamma, by J', and Lambda or gain_margin, by the inverse of J, found "
-                f"{' and '.join(given) or 'none'}"
-            )
-        if self.gain_margin is not None and self.gain_margin < 1:
-            raise ValueError(f"expected a gain_margin of 1 or more, found {self.gain_margin}")
-        if self.gain_margin is None and self.delay_margin != type(self).model_fields["delay_margin"].default:
-            raise ValueError("expected no delay_margin without gain_margin, which computes the gain; leave it out")
-        check_delay(self)
+        gains = ("gamma", "Lambda", "gain_margin")
+        check_gain(self, gains, "gamma, by J', and Lambda or gain_margin, by the inverse of J")
         return self
 
     def needs(self, port: str) -> bool:
@@ -158,9 +147,7 @@ class SampledTracking(AbstractBlock):
     def _goal(self, u: Signals, p: Signals) -> tuple[SX, SX]:
         """The error, and (1) or (2), for the sample in which the command acts."""
         path = [getattr(u, name) for name in ("x_d", *(f"x_d_{k}" for k in range(1, longest(self) + 2)))]
-        now, goal = path[self.delay], path[self.delay + 1]
-        if self.delay_up_to is not None:
-            now, goal = named("x_at", chosen(path[:-1], u.delay_hat)), named("x_to", chosen(path[1:], u.delay_hat))
+        now, goal = ends_of_sample(self, u, path, names=("x_at", "x_to"))
         x_err = named("x_err", p.robot.position(u.q_start) - now)
         if "Lambda" in p:
             return x_err, goal + (1 - u.T * p.Lambda) * x_err
