@@ -322,7 +322,7 @@ class _Writer:
 
     def _condition(self, item: Checked) -> dict[str, Any]:
         """A condition: the vector whose elements decide it, or only its text."""
-        found: dict[str, Any] = {"name": str(item.name), "text": str(item.expression)}
+        found: dict[str, Any] = {"name": str(item.name)}
         if item.margin is not None and item.margin.numel():
             (margin,) = self._of.loop.joined([ca.vec(ca.densify(item.margin))])
             known = {x.element_hash() for p in self._of.loop.parameters for x in ca.symvar(ca.SX(p.symbol))}
@@ -335,7 +335,7 @@ class _Writer:
         signals = {} if self._of.over_samples else signals_of(self._of)
         found = list[dict[str, Any]]()
         for item in self._verdict.statements:
-            own: dict[str, Any] = {"signal": str(item.signal), "says": item.says, "step": str(item.step)}
+            own: dict[str, Any] = {"signal": str(item.signal), "says": item.says}
             if item.signal in signals:
                 own["vector"] = self._vector(f"signal {item.signal}", signals[item.signal])
             if item.estimate:

@@ -210,8 +210,8 @@ globalThis.checker = (() => {
   const LISTS = { // keys, and those that may be missing
     cross: ["term by", ""], projections: ["term state correction set true", "lower upper"],
     masses: ["weight position translations inertia rotors joints motion", ""], linear: ["vectors rates", ""],
-    ranks: ["name matrix", ""], conditions: ["name text", "margin strict"],
-    conclusions: ["signal says", "step assumes vector estimate"], steps: ["rule estimate memory sizes rows box parts", ""],
+    ranks: ["name matrix", ""], conditions: ["name", "margin strict"],
+    conclusions: ["signal says", "assumes vector estimate"], steps: ["rule estimate memory sizes rows box parts", ""],
     lines: ["state newest before when", ""], plant: ["momentum rest", ""],
   };
   const PARTS = {

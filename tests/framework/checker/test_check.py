@@ -193,7 +193,7 @@ def false_files() -> Iterator[tuple[str, dict[str, Any], str]]:
 
     data = certificate("arm2_joint")
     data["conclusions"].append(
-        {"signal": "w", "says": "goes to zero", "step": "", "assumes": [], "vector": data["rates"]["servo.q_c"]}
+        {"signal": "w", "says": "goes to zero", "assumes": [], "vector": data["rates"]["servo.q_c"]}
     )
     yield "a signal that need not vanish", data, "believed"
 
@@ -280,7 +280,7 @@ def attacks() -> Iterator[tuple[str, dict[str, Any], str]]:
         data["program"]["b"].append(place)
         place = len(data["program"]["code"]) - 1
     data["vectors"].append([1, [place]])
-    data["conditions"].append({"name": "huge", "text": "", "margin": len(data["vectors"]) - 1, "strict": True})
+    data["conditions"].append({"name": "huge", "margin": len(data["vectors"]) - 1, "strict": True})
     yield "a number of 2^60 digits", data, "refused refuted believed"
 
     data = certificate("ur10_slow_repetitive")
@@ -290,7 +290,7 @@ def attacks() -> Iterator[tuple[str, dict[str, Any], str]]:
     data = certificate("arm2_joint")
     data["ranks"] = [{"name": "R", "matrix": constant(data, "0", "0")}]
     data["conclusions"].append(
-        {"signal": "w", "says": "goes to zero", "step": "", "assumes": [], "vector": data["rates"]["servo.q_c"]}
+        {"signal": "w", "says": "goes to zero", "assumes": [], "vector": data["rates"]["servo.q_c"]}
     )
     yield "a matrix of full rank that is zero", data, "believed"
 
