@@ -14,7 +14,7 @@ from dmframe_blocks.waypoints import check_rates, path_time, through
 
 @final
 class JointWaypoints(AbstractBlock):
-    r"""Path of the joints as that of `waypoints`, and the path of the tool by the kinematics of the robot.
+    r"""Path of the joints through points, and the path of the tool by the kinematics of the robot.
 
     .. math::
 

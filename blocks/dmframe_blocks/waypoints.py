@@ -31,16 +31,14 @@ class Waypoints(AbstractBlock):
     r"""Path through points, at rest in each, or with given velocities and accelerations.
 
     With the completed fraction :math:`s(\tau) = 10 \tau^3 - 15 \tau^4 + 6 \tau^5` of each segment, where :math:`\tau`
-    is the elapsed fraction of its time, 0 before it begins and 1 after it ends,
+    is the elapsed fraction of its time, 0 before it begins and 1 after it ends, the path is the sum of
 
-    .. math::
+    :math:`(s_{i-1} - s_i) \left(x_i + v_i (t - t_i) + \tfrac12 a_i (t - t_i)^2\right)`
 
-        x_d = \sum_i (s_{i-1} - s_i) \left(x_i + v_i (t - t_i) + \tfrac12 a_i (t - t_i)^2\right)
-
-    with 1 in place of s before the first point and 0 in place of that after the last one. The path meets each point
-    with its velocity and acceleration, is twice continuously differentiable, and stays at the last point. At rest in
-    each point its segments are straight minimum-jerk motions. With `orientations` the tool rotates on each segment
-    about one axis along the shortest rotation, with the same completed fraction.
+    over all points i, with 1 in place of s before the first point and 0 in place of that after the last one. It
+    meets each point with its velocity and acceleration, is twice continuously differentiable, and stays at the last
+    point. At rest in each point its segments are straight minimum-jerk motions. With `orientations` the tool
+    rotates on each segment about one axis along the shortest rotation, with the same completed fraction.
 
     ``dmframe path FILE ROBOT`` writes this block from a CSV file or a ROS ``JointTrajectory``.
 
