@@ -4,8 +4,8 @@ A ramp with the acceleration a_max would turn the commands u into
 
     r = r + clip(u - r, -a_max T, a_max T)
 
-The lag u - v of the joints' average velocity v is u - r + s behind it, and s without it, with the servo's own lag s. The
-evidence is the sum of |v - r|^2 - |v - u|^2 over the samples: with a ramp it falls by |r - u|^2, and rises by that
+The lag u - v of the joints' average velocity v is u - r + s behind it, and s without it, with the servo's own lag s.
+The evidence is the sum of |v - r|^2 - |v - u|^2 over the samples: with a ramp it falls by |r - u|^2, and rises by that
 without one, if s is small. The lag of a slow servo is taken for a ramp if it exceeds |r - u|/2.
 """
 
@@ -40,7 +40,7 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, lag:
     """The change towards the wished command; `lag` is u - v of the last completed sample.
 
     Unless the evidence is negative, or the delay is unknown, a path that needs more than a half of a_max gets that, and
-    as much beside it for corrections.
+    as much again for corrections.
     """
     if "a_max" not in p:
         return Limited(wished - x.queue[:, -1], {}, {})
@@ -49,8 +49,8 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, lag:
     evidence = named("evidence_new", x.evidence + ca.dot(gap, gap + 2 * lag))
     follows = named("follows", known * (ca.sumsqr(x.path_before) > 0) * (evidence >= 0))
     needed = named("needed", follows * (u.dq_path - x.path_before))
-    beside = ca.fmax(room / 2, ca.fabs(needed))
-    low, high = ca.fmin(-room, needed - beside), ca.fmax(room, needed + beside)
+    more = ca.fmax(room / 2, ca.fabs(needed))
+    low, high = ca.fmin(-room, needed - more), ca.fmax(room, needed + more)
     change = named("change", ca.fmin(ca.fmax(wished - x.queue[:, -1], low), high))
     sent = x.queue[:, -1] + change
     ramped = named("ramped_new", x.ramped + clip(sent - x.ramped, room))

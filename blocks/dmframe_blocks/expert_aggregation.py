@@ -88,14 +88,14 @@ class ExpertAggregation(AbstractBlock):
     are computed, and not a part of what is proved.
 
     *Rate.* With `a_max` a command changes by at most a_max T per sample, as behind a ramp that limits accelerations. If
-    the path needs more than a half of it, it gets that, and as much beside it for corrections: the change lies between
+    the path needs more than a half of it, it gets that, and as much again for corrections: the change lies between
 
         min(-a_max T, D - B)  and  max(a_max T, D + B),    B = max(a_max T/2, |D|)
 
     with the change D of dq_path, the velocity along the path without feedback; D counts as zero at a start from rest,
-    and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The motion shows this:
-    the evidence is the sum of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope a_max behind the command u.
-    Once it is negative, D counts as zero.
+    and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The motion shows
+    this: the evidence is the sum of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope a_max behind the
+    command u. Once it is negative, D counts as zero.
 
     Parameters
     ----------

@@ -69,9 +69,10 @@ class SampledTracking(AbstractBlock):
 
     so that this loop is stable with any g below `gain_margin` and any m up to `delay_margin`.
 
-    *Braking.* A robot whose acceleration is limited cannot end a fast correction at once: with a high gain it overshoots,
-    each time farther. With `braking` the gain is multiplied by the share with which each joint could stop at that
-    acceleration when its error is zero. With the scaled error :math:`e = \max_j |(J^+ \Delta x)_j| / \mathrm{braking}_j`
+    *Braking.* A robot whose acceleration is limited cannot end a fast correction at once: with a high gain it
+    overshoots, each time farther. With `braking` the gain is multiplied by the share with which each joint could stop
+    at that acceleration when its error is zero. With the scaled error
+    :math:`e = \max_j |(J^+ \Delta x)_j| / \mathrm{braking}_j`
 
         share = sqrt(2 far - 1)/far,    far = max(Lambda^2 e, 1)
 

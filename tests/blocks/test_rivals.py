@@ -130,7 +130,7 @@ def test_joints_with_limited_acceleration_overshoot_without_braking_only(braking
     """The tool jumps by 0.2 m; joints follow dq_r with at most 1 rad/s^2."""
     more = {} if braking is None else {"braking": [braking, braking]}
     block, q, v, errors = BLOCKS["sampled_tracking"](Lambda=20.0, **more), np.array([0.5, 0.9]), np.zeros(2), []
-    goal = tool(q) + [-0.15, 0.1]
+    goal = np.add(tool(q), [-0.15, 0.1])
     path = {"x_d": goal, **{f"x_d_{k}": goal for k in (1, 2, 3)}}
     for _ in range(150):
         found = block.evaluate({"q_start": q, **path, "T": T}, robot="arm2").outputs
