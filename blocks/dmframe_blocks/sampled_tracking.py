@@ -198,4 +198,4 @@ class SampledTracking(AbstractBlock):
         if "braking" not in p:
             return (1 - step) * x_err
         error = named("error_scaled", ca.mmax(ca.fabs(self._turned(p, u.q_start, x_err)) / p.braking))
-        return (1 - step * named("share", braked(error, step / u.T))) * x_err
+        return (1 - step * named("gain_share", braked(error, step / u.T))) * x_err
