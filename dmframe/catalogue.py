@@ -153,12 +153,12 @@ def loaded_digest(module: ModuleType | None) -> str | None:
     return found if isinstance(found, str) else None
 
 
-def _packaged(folder: str) -> dict[str, Path]:
-    """YAML files in a folder of the registered packages, by name."""
+def _packaged(folder: str, ending: str = ".yaml") -> dict[str, Path]:
+    """Files in a folder of the registered packages, by name."""
     found = dict[str, Path]()
     for package in packages():
         for place in package.__path__:
-            found |= {path.stem: path for path in sorted(Path(place, folder).glob("*.yaml"))}
+            found |= {path.stem: path for path in sorted(Path(place, folder).glob(f"*{ending}"))}
     return dict(sorted(found.items()))
 
 
@@ -206,6 +206,19 @@ def find_guide(name: str) -> Path:
     known = _packaged("guides")
     if name not in known:
         raise UnknownNameError(f"guide {name}", "guide", name, known)
+    return known[name]
+
+
+def pages() -> dict[str, Path]:
+    """Live pages that were built before, by the names of their graphs."""
+    return _packaged("pages", ".html")
+
+
+def find_page(name: str) -> Path:
+    """The file of a live page that was built before."""
+    known = pages()
+    if name not in known:
+        raise UnknownNameError(name, "page", name, known)
     return known[name]
 
 

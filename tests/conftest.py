@@ -19,18 +19,18 @@ from dmframe.exact import primes
 
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
-)  # before NumPy is loaded: a second thread mostly spins, and workers share
-gc.disable()  # until all tests are collected: what a collection makes stays
-# Hypothesis would read all our modules for numbers to try: seconds for each worker, and examples that depend on what
-# was imported before.
+)  # before NumPy is loaded: a second thread mostly waits, and workers share the cores
+gc.disable()  # until all tests are collected: objects of the collection stay
+# Hypothesis would read all our modules for constants to try: seconds for each worker, and examples that depend on
+# previous imports.
 providers._get_local_constants = lambda: providers._local_constants
-settings.register_profile("without deadlines", deadline=None)  # a busy machine is no fault
+settings.register_profile("without deadlines", deadline=None)  # a busy machine is not a fault
 settings.load_profile("without deadlines")
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """One cache of compiled loops for the whole session and all its workers, and never the user's own."""
+    """One cache of compiled loops for the whole session and all its workers, separate from the user's."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled"
     with pytest.MonkeyPatch.context() as patch:
@@ -40,9 +40,9 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _checked_once() -> Iterator[None]:
-    """A packaged block's methods are evaluated at other numbers once for each of its options, numbers and expressions.
+    """A packaged block's methods are evaluated with other numbers once per set of options, numbers and expressions.
 
-    For other blocks with validators this is done each time, since they may leave numbers anywhere.
+    For other blocks with validators this is repeated each time, since they may store numbers anywhere.
     """
     hooks = steady._hooks
     with pytest.MonkeyPatch.context() as patch:
@@ -52,7 +52,7 @@ def _checked_once() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _probable_primes() -> Iterator[None]:
-    """Proofs take probable primes, of which no composite one is known: to prove each takes 2 ms, thousands of times."""
+    """Proofs use probable primes, none of which is known to be composite: a proof takes 2 ms, thousands of times."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(primes, "is_prime", lambda number: bool(fmpz(number).is_probable_prime()))
         yield
@@ -60,21 +60,21 @@ def _probable_primes() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _interruptible() -> None:
-    """Ctrl-C reaches what tests start, also where the suite runs in the background of a shell, which ignores it."""
+    """Ctrl-C reaches processes started by tests, also from a suite in the background of a shell, which ignores it."""
     ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     if ignored and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 THOROUGH = Path(__file__).with_name("thorough.txt")
-"""Tests that ``make thorough`` runs, and ``make test`` does not; it says which have no cheaper instance there."""
+"""Tests of ``make thorough`` that ``make test`` omits; the file lists those without a faster instance there."""
 
 BUT = " but "
-"""A test with all its instances in that list, but for those that follow, with ``|`` between them."""
+"""A test with all its instances in that list, except those that follow, with ``|`` between them."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the tests of that list; a name or a pattern that no test of a whole collection has is a fault."""
+    """Mark the tests of that list; a name or a pattern without a test in a whole collection is a fault."""
     lines = [line.strip() for line in THOROUGH.read_text(encoding="utf-8").splitlines()]
     lines = [line for line in lines if line and not line.startswith("#")]
     but = dict(line.split(BUT) for line in lines if BUT in line)
@@ -102,7 +102,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """Rubbish is looked for less often, and not among what stays: a proof makes 10^5 small things and no rubbish."""
+    """Rarer garbage collections, without permanent objects: a proof creates 10^5 small objects and no garbage."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(200_000, 20, 20)

@@ -45,11 +45,11 @@ class ExportedController:
         return int(getattr(self.library, f"{self.name}_{word}")(*given))
 
     def init(self) -> None:
-        """Forget every state, with the parameters of the graph."""
+        """Reset every state, with the parameters of the graph."""
         self._call("init", self.controller, ctypes.byref(ctypes.c_char.in_dll(self.library, f"{self.name}_defaults")))
 
     def reset(self, measured: np.ndarray, t: float) -> bool:
-        """Initialise the states from measurements; False if it is refused."""
+        """Initialise the states from measurements; False if they are refused."""
         return bool(self._call("reset", self.controller, _pointer(measured), ctypes.c_double(t)))
 
     def step(self, measured: np.ndarray, t: float) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""Files that a page of the documentation shows, for tests of the code that its reader writes."""
+"""Files shown on a page of the documentation, for tests of the reader's code."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ FILE = re.compile(r"^```python\n# (\w+\.py)\n(.*?)^```$", re.MULTILINE | re.DOTA
 
 
 def page_file(page: str, name: str) -> str:
-    """Text of the file that a snippet of a page is."""
+    """Text of the file in a snippet of a page."""
     found = dict(FILE.findall((ROOT / page).read_text(encoding="utf-8")))
     return str(found[name])
 
 
 def page_module(page: str, name: str, folder: Path) -> ModuleType:
-    """That file as a module, written to a folder; it is not kept in `sys.modules`."""
+    """That file as a module, written to a folder; it is not added to `sys.modules`."""
     file = folder / name
     file.write_text(page_file(page, name), encoding="utf-8")
     spec = importlib.util.spec_from_file_location(file.stem, file)

@@ -1,7 +1,7 @@
-"""How long the packaged graphs stay sound on their own clocks: ``make soak``, or ``soak.py --hours 24 [NAME...]``.
+"""Long runs of the packaged graphs on their own clocks: ``make soak``, or ``soak.py --hours 24 [NAME...]``.
 
-What is proved in continuous time may diverge when it is sampled, long after the graph's own `duration`. Each graph is
-run for a day; a line each says whether it came to the end, or where it left its bounds.
+A loop that is proved in continuous time may diverge in discrete time, long after the graph's own `duration`. Each graph
+is run for a day; one line each reports that it reached the end, or where it left its bounds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dmframe.common.units import plain
 
 
 def main() -> int:
-    """Run them; the status is 1 where one diverged."""
+    """Run them; the status is 1 if one diverged."""
     words = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     words.add_argument("--hours", type=float, default=24.0)
     words.add_argument("names", nargs="*", help="graphs; all packaged ones without")

@@ -1,9 +1,9 @@
-"""A large study whose workers and client are killed, against the same study undisturbed: ``make study``.
+"""A large study whose workers and client are killed, compared with the undisturbed study: ``make study``.
 
 Two dask workers run it, by their own command lines. After a third of the runs one of them is killed with -9, after two
-thirds the client; the same command then continues. The undisturbed one runs on this machine's own processes. Both must
-hold every run once, with the same bits. Printed: times, runs a second, rows that were computed
-though they were there, the client's memory.
+thirds the client; the same command then continues. The undisturbed one uses this machine's own processes. Both must
+have every run once, with the same bits. Printed: times, runs per second, rows that were computed
+although they existed, the client's memory.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ sample:
 grid: {{dynamics.Gamma: [1, 10, 100, 1000]}}
 """
 LOOK = 0.1
-"""How often the folder is looked at [s]."""
+"""Interval of checks of the folder [s]."""
 
 
 def main() -> int:
@@ -102,7 +102,7 @@ def client(folder: Path, out: str, *words: str) -> subprocess.Popen[bytes]:
 
 
 def ended(process: subprocess.Popen[bytes]) -> float:
-    """The most memory that it had [MB]."""
+    """Its peak memory [MB]."""
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
@@ -132,7 +132,7 @@ def until(out: Path, runs: int, process: subprocess.Popen[bytes]) -> None:
 
 
 def kept(out: Path) -> int:
-    """Rows on the disk; a file's name says how many."""
+    """Number of rows on the disk, from the names of the files."""
     return sum(rows(file.stem) for file in (out / "runs").glob("*.parquet")) if out.is_dir() else 0
 
 
@@ -143,7 +143,7 @@ def rows(name: str) -> int:
 
 
 def child(process: int) -> int:
-    """The worker that a nanny has started: the child that is no tracker of resources."""
+    """The worker that a nanny has started: the child that is not a resource tracker."""
     found = subprocess.run(
         ["ps", "-o", "pid=,args=", "--ppid", str(process)], capture_output=True, text=True, check=True
     )
@@ -162,7 +162,7 @@ def frame(out: Path) -> polars.DataFrame:
 
 
 def same_bits(a: polars.DataFrame, b: polars.DataFrame) -> bool:
-    """Also nan is nan."""
+    """Equality with NaN equal to NaN."""
 
     def bits(table: polars.DataFrame) -> Sequence[Any]:
         return [column.to_numpy().tobytes() if column.dtype.is_numeric() else column.to_list() for column in table]

@@ -75,9 +75,8 @@ EXCEPT: Final = (
     "tests/words.py",
     "tests/docs/test_words.py",
     "docs/explanation/glossary.md",
-    "docs/decisions/",
 )
-"""Files that name the words, that record history, or that quote names of other rooms."""
+"""Files that contain the words as examples or as former names."""
 
 CODE: Final = re.compile(r"^```.*?^```$|(?<!`)`[^`\n]+`(?!`)", re.MULTILINE | re.DOTALL)
 """A fence or a span of code in Markdown."""

@@ -170,11 +170,11 @@ class AveragedServo:
         return kinds
 
     @cached_property
-    def learnt(self) -> Callable[..., Expression]:
+    def updated(self) -> Callable[..., Expression]:
         """Operation that updates the estimate with rows."""
 
         @operation
-        def learnt(theta: Any, h: Any, g: Any, rows: Any, goals: Any, Gamma: Any, nu: Any, box: Any) -> Any:
+        def updated(theta: Any, h: Any, g: Any, rows: Any, goals: Any, Gamma: Any, nu: Any, box: Any) -> Any:
             """The estimate after projections onto h, the stored rows, and h again, each clipped to the box."""
             stored = [(rows[k, :].T, goals[k, :].T) for k in range(rows.shape[0])]
             for seen, wanted in ((h, g), *stored, (h, g)):
@@ -182,7 +182,7 @@ class AveragedServo:
                 theta = ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1])
             return theta
 
-        return learnt
+        return updated
 
     def projected(self, theta: Any, h: Any, g: Any, Gamma: Any, nu: Any) -> Any:
         """Theta + Gamma h (g - h' theta)/(nu + h' Gamma h), joint by joint: the update by one row."""

@@ -26,7 +26,7 @@ def columns_for(friction: Collection[Friction], truth: Signals, *, rotor: bool =
 
 
 def _column_for(key: str, name: str, true: SX) -> Inequality:
-    """The condition that the plant has none of it, for a regressor without a column for it."""
+    """The condition that the plant has no such friction, for a regressor without a column for it."""
     owners = ", ".join(dict.fromkeys(re.sub(r"(_\d+)?$", "", str(symbol)) for symbol in ca.symvar(true)))
     return Inequality(
         f"the plant has no {name}: {owners} is zero",

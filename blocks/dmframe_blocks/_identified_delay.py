@@ -40,16 +40,16 @@ class Aimed(NamedTuple):
         return Aimed(self.target + T * command, self.z + T * (middle - self.target - T * command / 2))
 
 
-def sooner(aimed: Aimed, queue: SX, delay: SX, T: SX) -> Aimed:
-    """The same with a smaller delay than the longest, of which it is given; z up to a constant.
+def with_shorter_delay(aimed: Aimed, queue: SX, delay: SX, T: SX) -> Aimed:
+    """Target and z for the identified delay, from those for the longest delay; z up to a constant.
 
-    The commands of the first columns of the queue, that have not acted with the longest delay, have then acted.
+    With the smaller delay, commands in the first columns of the queue act that do not act with the longest one.
     """
     target, z, D = aimed.target, aimed.z, queue.shape[1] - 1
     for k in range(D):
         acted = T * (delay < D - k)
-        z = named(f"z_sooner_{k}", z - acted * (target + T * queue[:, k] / 2))
-        target = named(f"target_sooner_{k}", target + acted * queue[:, k])
+        z = named(f"z_early_{k}", z - acted * (target + T * queue[:, k] / 2))
+        target = named(f"target_early_{k}", target + acted * queue[:, k])
     return Aimed(target, z)
 
 

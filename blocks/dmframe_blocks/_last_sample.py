@@ -9,7 +9,7 @@ import casadi as ca
 
 from dmframe.block import SX, Signals, named
 from dmframe_blocks._averaged_servo import AveragedServo, Start
-from dmframe_blocks._identified_delay import Aimed, Delayed, acting, sooner
+from dmframe_blocks._identified_delay import Aimed, Delayed, acting, with_shorter_delay
 from dmframe_blocks._sample_response import Response
 
 
@@ -63,10 +63,10 @@ class LastSample:
         psi = named("psi_next", averaged.changing(psi_slow + share * (self.psi - psi_slow)))
         return psi, named("y_next", y_slow + share * (self.y - y_slow))
 
-    def lesson(self, response: Response, u: Signals, x: Signals, settling: SX, u_max: SX) -> tuple[SX, SX]:
+    def row_and_goal(self, response: Response, u: Signals, x: Signals, settling: SX, u_max: SX) -> tuple[SX, SX]:
         """The row and output for the estimator: zero for joints whose command was clipped."""
-        learns = named("learns", (x.count * u.T > settling) * (ca.fabs(self.command) < u_max))
-        return response.averaged.of_joint(learns) * self.h, learns * self.g
+        active = named("active", (x.count * u.T > settling) * (ca.fabs(self.command) < u_max))
+        return response.averaged.of_joint(active) * self.h, active * self.g
 
 
 def length_of(block: Measured, u: Signals, x: Signals) -> SX:
@@ -80,7 +80,7 @@ def last_sample(block: Measured, response: Response, u: Signals, x: Signals) -> 
     command = named("u_applied", (u.q_echo - x.q_aim) / T if block.echoed else acting(block, u, x.queue)[:, 0])
     v, aimed = named("v", (u.q - x.q_before) / T), Aimed(x.q_aim, x.z)
     if block.delay_up_to is not None and not block.echoed:
-        aimed = sooner(aimed, x.queue, u.delay_hat, T)
+        aimed = with_shorter_delay(aimed, x.queue, u.delay_hat, T)
     psi = named("psi", response.row(Start(x.q_before, *aimed, x.m_before, x.v_before), v, command, T))
     y = named("y_row", command - v)
     if not block.filtered:

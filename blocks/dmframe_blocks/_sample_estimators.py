@@ -24,7 +24,7 @@ from dmframe.block import (
 from dmframe_blocks._averaged_servo import AveragedServo
 
 
-class Learning(NamedTuple):
+class Adaptation(NamedTuple):
     """Parameters of an estimator: Gamma, nu, the box, and the retention per sample."""
 
     gain: Any
@@ -36,10 +36,10 @@ class Learning(NamedTuple):
 class Estimator(Protocol):
     """Updates theta and the estimator's memory."""
 
-    def learnt(self, x: Signals, h: SX, g: SX, by: Learning) -> tuple[SX, Mapping[str, SX]]:
+    def updated(self, x: Signals, h: SX, g: SX, by: Adaptation) -> tuple[SX, Mapping[str, SX]]:
         """Theta after a new row h, g, and the states of the memory."""
 
-    def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Learning) -> Steps:
+    def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Adaptation) -> Steps:
         """The same steps for a proof."""
 
     def kept(self, x: Signals, h: SX, g: SX) -> tuple[DelayLine, ...]:
@@ -55,9 +55,9 @@ class Projection:
     replay: int
     stride: int
 
-    def learnt(self, x: Signals, h: SX, g: SX, by: Learning) -> tuple[SX, Mapping[str, SX]]:
+    def updated(self, x: Signals, h: SX, g: SX, by: Adaptation) -> tuple[SX, Mapping[str, SX]]:
         """Theta after these steps, each clipped to the box; and the stored rows, with the new one if it is due."""
-        theta = self.averaged.learnt(
+        theta = self.averaged.updated(
             x.theta, h, g, x.rows, x.goals, named("sizes", by.gain), by.floor, named("box", by.box)
         )
         kept = {"rows": self._stored(x, x.rows, h), "goals": self._stored(x, x.goals, g)}
@@ -65,7 +65,7 @@ class Projection:
             kept["turn"] = ca.if_else(x.turn < self.stride - 1, x.turn + 1, 0)
         return theta, kept
 
-    def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Learning) -> Steps:
+    def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Adaptation) -> Steps:
         """Normalised steps."""
         stored = [(x.rows[k, :].T, x.goals[k, :].T) for k in range(self.replay)]
         rows, box = ((h, g), *stored, (h, g)), tuple(ca.horzsplit(by.box))
@@ -91,14 +91,14 @@ class LeastSquares:
 
     averaged: AveragedServo
 
-    def learnt(self, x: Signals, h: SX, g: SX, by: Learning) -> tuple[SX, Mapping[str, SX]]:
+    def updated(self, x: Signals, h: SX, g: SX, by: Adaptation) -> tuple[SX, Mapping[str, SX]]:
         """Theta in its box, and the lower triangles of G."""
         sizes, box = named("sizes", by.gain), named("box", by.box)
-        both = named("learnt", self.regressed(x.theta, x.gathered, h, g, sizes, by.floor, box))
+        both = named("updated", self.regressed(x.theta, x.gathered, h, g, sizes, by.floor, box))
         size = self.averaged.size
         return both[:size], {"gathered": by.retention * both[size:]}
 
-    def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Learning) -> Steps:
+    def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Adaptation) -> Steps:
         """Steps of least squares."""
         box = tuple(ca.horzsplit(by.box))
         states, sizes = (x.theta, x.gathered, true, by.gain), (self.averaged.parts, by.floor, by.retention)
@@ -129,10 +129,10 @@ class LeastSquares:
     def step(self, theta: Any, G: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> tuple[Any, Any]:
         """Theta and G of one joint after a row; P is the inverse of 1/Gamma + G, before and after it."""
         M, N = inverse_factors(ca.diag(1 / Gamma) + G)  # P = M'N
-        learnt = N.T @ (M @ h)  # P h
-        n = nu + ca.dot(h, learnt)
-        left, right = ca.vertcat(M, learnt.T), ca.vertcat(N, -learnt.T / n)
-        return self.put_back(theta + learnt * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, left, right, box)
+        P_h = N.T @ (M @ h)
+        n = nu + ca.dot(h, P_h)
+        left, right = ca.vertcat(M, P_h.T), ca.vertcat(N, -P_h.T / n)
+        return self.put_back(theta + P_h * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, left, right, box)
 
     def put_back(self, theta: Any, G: Any, left: Any, right: Any, box: Any) -> tuple[Any, Any]:
         """Projection onto each violated face in the norm of P^-1, P = left'right; clipping if another face is violated.

@@ -48,7 +48,7 @@ from dmframe_blocks._identified_delay import (
 )
 from dmframe_blocks._last_sample import LastSample, last_sample
 from dmframe_blocks._row_means import RowMeans
-from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
+from dmframe_blocks._sample_estimators import Adaptation, Estimator, Projection, least_squares, triangle
 from dmframe_blocks._sample_response import Ahead, Response
 from dmframe_blocks._servo_truth import SERVO_TRUTH, true_servo
 
@@ -155,8 +155,8 @@ class SampledInverse(AbstractBlock):
     margin : scalar, >= 0
         Margin of the slope above 1/2 in the condition on :math:`w M/T`.
     settling : scalar, s, >= 0
-        Time after the start, or after the delay was identified, from which nothing is learned: large corrections of the
-        first error can reach limits of the channel, which the rows do not describe.
+        Time after the start, or after the delay was identified, during which the estimates are constant: the large
+        first error can drive the channel to its limits, which the rows do not contain.
     supervised : true or false
         Another block, such as `sampled_supervisor`, determines the command that is sent, `dq_sent`, which is then used
         as the applied command.
@@ -298,11 +298,11 @@ class SampledInverse(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The last sample, the update of the estimate, the predicted start of the command, and the command."""
         averaged, response, last = self._averaged(p), self._response(p), self._last(u, x, p)
-        lesson = last.lesson(response, u, x, p.settling, p.u_max)
-        row, goal, kept = RowMeans(averaged, self.average).after(x, *lesson)
+        new = last.row_and_goal(response, u, x, p.settling, p.u_max)
+        row, goal, kept = RowMeans(averaged, self.average).after(x, *new)
         if self.time_stamps:
             kept["t_before"] = u.t
-        theta, learnt = self._estimator(p).learnt(x, row, goal, self._learning(p))
+        theta, memory = self._estimator(p).updated(x, row, goal, self._adaptation(p))
         theta_new = named("theta_new", theta)
 
         T, v = last.T, last.v
@@ -334,7 +334,7 @@ class SampledInverse(AbstractBlock):
             },
             next={
                 "theta": theta_new,
-                **learnt,
+                **memory,
                 **kept,
                 "q_before": u.q,
                 "m_before": middle,
@@ -352,9 +352,9 @@ class SampledInverse(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Steps of the estimate from sample to sample, and the identity of servo and robot between samples."""
         averaged, robot, last = self._averaged(p), p.robot, self._last(u, x, p)
-        new, aim = last.lesson(self._response(p), u, x, p.settling, p.u_max)
+        new, aim = last.row_and_goal(self._response(p), u, x, p.settling, p.u_max)
         row, goal, kept = RowMeans(averaged, self.average).after(x, new, aim)
-        estimator, learning = self._estimator(p), self._learning(p)
+        estimator, adaptation = self._estimator(p), self._adaptation(p)
         lines = (*estimator.kept(x, row, goal), *RowMeans.lines(kept, new, aim))
         known = not self.echoed and "dq_s" in truth and "q" in truth
         acted = (Acted(last.command, truth.dq_s, u.q, truth.q),) if known else ()
@@ -366,7 +366,7 @@ class SampledInverse(AbstractBlock):
         else:  # any constants
             true = type(x.theta).sym("theta_true", averaged.size)
             unknown = {"theta_true": true}
-        steps = estimator.steps(x, true, row, goal, learning)
+        steps = estimator.steps(x, true, row, goal, adaptation)
         return Certificate(steps=(steps,), delay_lines=lines, plant=plant, acted=acted, unknown=unknown)
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
@@ -387,9 +387,9 @@ class SampledInverse(AbstractBlock):
         squares = self.estimator == "least_squares"
         return least_squares(averaged) if squares else Projection(averaged, self.replay, self.stride)
 
-    def _learning(self, p: Signals) -> Learning:
+    def _adaptation(self, p: Signals) -> Adaptation:
         averaged = self._averaged(p)
-        return Learning(averaged.gamma(p), p.nu, averaged.box(p), p.retention)
+        return Adaptation(averaged.gamma(p), p.nu, averaged.box(p), p.retention)
 
     def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
         """The command for which theta predicts dq_r, with the momentum of planned velocities, clipped to its bounds."""

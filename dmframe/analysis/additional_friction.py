@@ -1,4 +1,4 @@
-"""Friction between servo and arm that depends on the joint velocity alone, such as the Stribeck effect, linearised."""
+"""Friction between servo and arm that depends on the joint velocity only, such as the Stribeck effect, linearised."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class AdditionalFriction:
 
 
 def additional_friction(name: str, model: BlockModel) -> AdditionalFriction | None:
-    """The friction of a block with the output u in place of its input u; None if it does more than add friction."""
+    """Friction of a block with the output u that replaces its input u; None if it does more than add friction."""
     output = next((port.name for port in model.block.outputs if port.instead_of == VOLTAGE), None)
     if output is None or model.states or not {VOLTAGE, SPEED, MOTOR} <= model.inputs.keys():
         return None

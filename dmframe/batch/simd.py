@@ -102,7 +102,7 @@ class Group:
     substeps
         (width,), integrator steps per tick; the largest determines the computing time.
     figures
-        (outputs, `PER_OUTPUT`, width), with sums of squares in place of RMS values.
+        (outputs, `PER_OUTPUT`, width), with sums of squares instead of RMS values.
     ended
         (width,), tick after which a run left its bounds; -1 if it did not.
     """

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, final
 
 import casadi as ca
@@ -34,21 +35,21 @@ DEEP = 100
 """Depth to which two elements are compared before their difference is tested."""
 
 
-def assembled(claim: Claim, uncertain: Sequence[str] = ()) -> data.Claim:
-    """The claim as data.
+def assembled(claim: Claim, uncertain: Sequence[str] = (), more: Mapping[str, SX] = MappingProxyType({})) -> data.Claim:
+    """The claim as data, with further expressions as outputs of its program, by name.
 
     Raises `NotApplicableError` if a certificate contains a symbol that is neither a signal nor a parameter of the
     diagram.
     """
-    return _Assembly(claim, uncertain).claim()
+    return _Assembly(claim, uncertain, more).claim()
 
 
 @final
 class _Assembly:
     """The expressions of a claim, collected under their names."""
 
-    def __init__(self, claim: Claim, uncertain: Sequence[str]) -> None:
-        self._of, self._uncertain = claim, uncertain
+    def __init__(self, claim: Claim, uncertain: Sequence[str], more: Mapping[str, SX]) -> None:
+        self._of, self._uncertain, self._more = claim, uncertain, more
         self._outs = dict[str, SX]()
 
     def claim(self) -> data.Claim:
@@ -66,6 +67,8 @@ class _Assembly:
             if block is not None and part.certificate.consumes is not None
         )
         moves, plant = self._moves(parts), self._plant_moves()
+        for name, expression in self._more.items():
+            self._out(name, ca.vec(ca.densify(expression)) if expression.is_column() else ca.densify(expression))
         symbols = symbols_of(of, self._uncertain)  # with the trajectories' derivatives
         gains = self._gains(symbols)
         copies = [ca.SX.sym(f"{gain.label}.changed", gain.symbol.shape) for gain in gains]

@@ -163,8 +163,10 @@ class Closure:
         """True if the correction of each projection in it is bounded, as it is for a bounded nominal rate."""
         used = symbols_in([expression])
         for projection in self._claim.loop.projections:
-            if projection.name in seen or not used & symbols_in([projection.correction]):
+            if not used & symbols_in([projection.correction]):
                 continue
+            if projection.name in seen:
+                return False  # corrections that depend on one another have no bound
             nominal = self._nominal[projection.name]
             (moves,) = self._moves([ca.vec(ca.densify(nominal))])
             if any(moves) or not self._corrected(nominal, seen | {projection.name}):

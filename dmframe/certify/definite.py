@@ -63,6 +63,17 @@ def _matched(claim: Claim, weight: SX) -> str | None:
 
 
 def _match(claim: Claim, weight: SX) -> str | None:
+    found = _found(claim, weight)
+    return None if found is None else found[0]
+
+
+def body_matrix(claim: Claim, weight: SX) -> tuple[SX, Any, SX, SX] | None:
+    """Joint positions, robot, inertia of the bodies and rotors of a weight that is a mass matrix; None otherwise."""
+    found = _found(claim, weight)
+    return None if found is None else found[1:]
+
+
+def _found(claim: Claim, weight: SX) -> tuple[str, SX, Any, SX, SX] | None:
     symbols = symbols_of(claim)
     for q, robot in _poses(claim, weight):
         used, size = symbols_in([weight]), len(INERTIAL)
@@ -76,8 +87,9 @@ def _match(claim: Claim, weight: SX) -> str | None:
             if held and not held & used:  # a mass matrix is linear in the inertia of its bodies, and not zero
                 continue
             rest = weight - robot.mass_matrix(q, inertia)
-            if any(symbols.vanishes("difference", rest - ca.diag(rotors)) for rotors in _rotors(claim, weight)):
-                return label
+            for rotors in _rotors(claim, weight):
+                if symbols.vanishes("difference", rest - ca.diag(rotors)):
+                    return label, q, robot, inertia, rotors
     return None
 
 

@@ -175,15 +175,17 @@ def discrete_statements(claim: Claim) -> Iterator[Statement]:
     """Conclusions for the estimates and for V."""
     for part in claim.parts:
         for item in part.certificate.steps:
-            name = Text(name_of(item.estimate), f" ({part.block})")
+            name, label = Text(name_of(item.estimate), f" ({part.block})"), f"{part.block}.{item.estimate}"
             if item.box:
-                yield Statement(name, "is bounded", Text("it is projected onto its box at each sample"))
-            yield Statement(sentence("{V} of {name}", name=name), "does not rise where eta is zero", EACH[type(item)])
+                yield Statement(name, "is bounded", Text("it is projected onto its box at each sample"), estimate=label)
+            falls = "does not rise where eta is zero"
+            yield Statement(sentence("{V} of {name}", name=name), falls, EACH[type(item)], estimate=label)
             many = f", over {len(item.rows)} steps a sample" if len(item.rows) > 1 else ""
             yield Statement(
                 Text("the error in the direction of the rows, of ", name),
                 f"is square-summable where eta is{many}",
                 sentence("summed over the samples, with {V} >= 0: {each}", each=EACH[type(item)]),
+                estimate=label,
             )
         if part.certificate.storage:
             says = "rises by its residual at most" if part.certificate.residual else "does not rise"

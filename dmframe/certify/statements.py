@@ -30,7 +30,8 @@ T = TypeVar("T", bound=Positive)
 class Statement:
     """A conclusion about one signal, with its proof step and the assumptions of that step.
 
-    `concludes`: it concerns a control objective, an error that converges to zero.
+    `concludes`: it concerns a control objective, an error that converges to zero. `estimate`: label of the estimate of
+    whose steps it is a property.
     """
 
     signal: Text
@@ -38,6 +39,7 @@ class Statement:
     step: Text
     assumes: tuple[Text, ...] = ()
     concludes: bool = False
+    estimate: str = ""
 
 
 @final
@@ -69,18 +71,20 @@ def states_of(claim: Claim, closure: Closure) -> States:
 
 def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
     """Initially bounded vectors: those in V, and projected estimates; and linear subsystems that may follow."""
-    driven = [(part.block, item) for part in claim.parts for item in part.certificate.linear]
-    driven += [
-        (part.block, _memory(term))
-        for part in claim.parts
-        for term in part.certificate.storage
-        if isinstance(term, InformationSquare)
-    ]
     vectors = [item.state for item in claim.loop.projections if item.set.bounds]
     rising = any(part.certificate.residual for part in claim.parts)
     if not rising or ultimate(claim, symbols, signs):
         vectors += [term.vector for _, term in _stored(claim) if signs.positive(term)]
-    return Bases(tuple(vectors), tuple(driven))
+    return Bases(tuple(vectors), tuple(linear_subsystems(claim)))
+
+
+def linear_subsystems(claim: Claim) -> Iterator[tuple[str, StableLinear]]:
+    """Linear subsystems that certificates state, and information matrices, each with its block."""
+    yield from ((part.block, item) for part in claim.parts for item in part.certificate.linear)
+    for part in claim.parts:
+        for term in part.certificate.storage:
+            if isinstance(term, InformationSquare):
+                yield part.block, _memory(term)
 
 
 def _memory(term: InformationSquare) -> StableLinear:
@@ -173,6 +177,18 @@ def _vectors(claim: Claim) -> dict[Text, SX]:
                 found[term.by_of] = term.by
         for item in certificate.linear:
             found |= dict(zip(item.of, item.bounded, strict=True))
+    return found
+
+
+def signals_of(claim: Claim) -> dict[Text, SX]:
+    """The signals that conclusions name, by name: vectors of the certificates, states of the plant, and rates."""
+    known = _vectors(claim)
+    found = known | {_state_name(claim, variable, known): variable.symbol for variable in claim.loop.plant}
+    for name, vector in list(found.items()):
+        rate = slope(claim, vector)
+        if rate is not None:
+            found.setdefault(_rate_of(name), rate)
+            found.setdefault(_rate_name(claim, name, rate), rate)
     return found
 
 

@@ -8,7 +8,7 @@ they are for intervals and for varied numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import casadi as ca
@@ -45,6 +45,8 @@ from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 ROUNDING: Final = 1e-9 / 4
 """Fraction of a load's trace, less than the fraction of its largest eigenvalue that `verify` allows for rounding."""
+AFTER: Final = 1e-9
+"""Time after a switch at which a piecewise constant function is evaluated [s]."""
 TINY: Final = 1e-30
 """Offset with which the pivots of a zero load are positive."""
 
@@ -218,8 +220,9 @@ def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
 def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX], SX]:
     """A piecewise constant function of time on each of its pieces, and the parameters of the switching instants.
 
-    Without a piece, all its parameters, if it varies between steps. Pieces shorter than the sampling interval of
-    `verify` are ignored, as by `verify`.
+    These are none if the instants are functions of the parameters, see `_moments`: the pieces are then those at any
+    values. Without a piece, all its parameters, if it varies between steps. Pieces shorter than the sampling interval
+    of `verify` are ignored, as by `verify`.
     """
     loop, expression = claim.loop, ca.densify(expression)
     slope = ca.jacobian(expression, loop.time)
@@ -229,10 +232,31 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     steps = [x for x, _ in instructions([expression]) if x.op() in JUMPS and symbols_in([x]) & time]
     if not steps:
         return [expression], ca.SX(0, 1)
+    if (moments := _moments(loop.time, steps)) is not None:
+        return [ca.substitute([expression], [loop.time], [at])[0] for at in moments], ca.SX(0, 1)
     times, values = over_horizon(loop, ca.vertcat(*steps))
     _, first = np.unique(values, axis=1, return_index=True)
     pieces = [ca.substitute([expression], [loop.time], [ca.SX(float(times[k]))])[0] for k in sorted(first)]
     return pieces, numbers.reads(ca.vertcat(*steps))
+
+
+def _moments(time: SX, steps: Sequence[SX]) -> list[SX] | None:
+    """Zero and an instant after each switch, as functions of the parameters; None for a switch that is no instant.
+
+    A switch compares a term that is linear in time. Each piece that is longer than `AFTER` then contains one of these
+    instants, for all values of the parameters.
+    """
+    found = [ca.SX(0.0)]
+    for step in steps:
+        if step.op() not in (ca.OP_LE, ca.OP_LT):
+            return None
+        difference = step.dep(0) - step.dep(1)
+        slope = ca.jacobian(difference, time)
+        if not slope.is_constant() or slope.is_zero():
+            return None
+        at = -ca.substitute(difference, time, ca.SX(0)) / slope
+        found.append(ca.fmax(at + AFTER, 0))
+    return found
 
 
 def _starts(claim: Claim, numbers: Numbers) -> Iterator[Checked]:

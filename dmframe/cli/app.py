@@ -34,10 +34,13 @@ from dmframe.cli.design import design
 from dmframe.cli.experiment import experiment
 from dmframe.cli.groups import GroupedCommands
 from dmframe.cli.identify import identify
+from dmframe.cli.live import demo, page
+from dmframe.cli.path import path
 from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
+from dmframe.cli.studio import studio
 from dmframe.cli.which import which
 from dmframe.common.errors import DmframeError
 from dmframe.common.files import check_place
@@ -77,7 +80,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (design, study, tune, race, which, graphs, robots, new):
+for command in (design, path, study, tune, race, which, graphs, robots, new):
     app.command()(command)
 
 
@@ -176,6 +179,9 @@ def verify(
     claim: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write the claim that was checked, as JSON.")
     ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=home, help="Write a certificate for independent checkers.")
+    ] = None,
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
     fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported
         bool, typer.Option("--fresh", help="Prove again, even if a verdict for the same inputs is remembered.")
@@ -191,7 +197,22 @@ def verify(
     replay = ["dmframe", "verify", *graph, *(word for text in overrides for word in ("--set", text))]
     found = graphs_of(graph, overrides, trust=trust)
     number = whole("--seed", seed)
-    return verify_graphs(found, report=report, claim=claim, replay=replay, seed=number, as_json=as_json)
+    files = {"claim": claim, "certificate": certificate}
+    return verify_graphs(found, report=report, files=files, replay=replay, seed=number, as_json=as_json)
+
+
+@app.command()
+def audit(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", callback=home, help="A folder with a graph.")],
+    as_json: AsJson = False,
+    trust: Trust = False,
+) -> int:
+    """Compare certificates, code, runs, rehearsals and drives of a folder with the model of its graph."""
+    from dmframe.graph.audit import audit as follow
+
+    found = follow(folder, trust=trust)
+    tell(json.dumps(found.summary, indent=2) if as_json else str(found))
+    return 0 if found.holds else 1
 
 
 @app.command()
@@ -297,30 +318,7 @@ def draw(
     tell(f"wrote {out}")
 
 
-@app.command()
-def page(
-    graph: OneGraph,
-    out: Annotated[
-        Path | None,
-        typer.Option("-o", "--out", metavar="FILE", callback=home, help="A file .html; GRAPH.html without it."),
-    ] = None,
-    periods: Annotated[bool, typer.Option(help="Compute the largest stable sampling periods; takes seconds.")] = True,
-    overrides: Overrides = NOTHING,
-    trust: Trust = False,
-) -> None:
-    """Write a live page of a graph: simulation in a browser, with sliders and the verdict."""
-    from dmframe.cli.graphs import one_graph
-    from dmframe.page.page import check_own_place, check_page_place
-    from dmframe.results.folder import safe_name
-
-    loaded = one_graph(graph, overrides, trust=trust)
-    place = out if out is not None else Path(f"{safe_name(loaded.name)}.html")
-    (check_page_place if out is not None else check_own_place)(place)
-    loaded.page(periods=periods).save(place)
-    tell(f"wrote {place}")
-
-
-for command in (blocks, learn, schema):
+for command in (demo, page, studio, blocks, learn, schema):
     app.command()(command)
 
 

@@ -22,7 +22,14 @@ def design(
     log: Annotated[
         str | None, typer.Option(metavar="LOG", help="Log from which the servo is identified; see identify.")
     ] = None,
-    task: Annotated[str, typer.Option(metavar="TASK", help="What follows the path: joints.")] = "joints",
+    task: Annotated[
+        str | None,
+        typer.Option(metavar="TASK", help="joints, position or pose; default: that of --path, or joints."),
+    ] = None,
+    path: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Path as CSV, or as JointTrajectory in YAML or JSON; see path."),
+    ] = None,
     clock: Annotated[
         str | None, typer.Option("--period", "--clock", metavar="S", help="Sampling period; default: 8 ms.")
     ] = None,
@@ -51,7 +58,7 @@ def design(
 
     count = None if workers is None else whole("--workers", workers)
     held = tuple(angles("--hold", hold).items())
-    request = Request.of(robot, task=task, clock=clock, payload=payload, log=log, tool=tool, hold=held)
+    request = Request.of(robot, task=task, clock=clock, payload=payload, log=log, tool=tool, hold=held, path=path)
     try:
         with progress_line(Path(robot).name) as say:
             found = designed(request, out, workers=count, say=say)

@@ -64,7 +64,7 @@ def drive_graph(
                     asked=lambda: _named(came[0]) if came else "",
                     record=place.folder / SAMPLES,
                 )
-            except DriveError as error:  # nothing was recorded
+            except DriveError as error:  # without recorded samples
                 if not came:
                     raise
                 tell(f"dmframe: {error}", aside=True)

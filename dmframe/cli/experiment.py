@@ -37,7 +37,7 @@ def experiment(
 ) -> None:
     """Propose velocity steps of every joint for identify: inside limits and a box without self-collision.
 
-    Nothing was tried on hardware, and the surroundings of the robot are unknown except for --floor.
+    It was not tested on hardware, and the surroundings of the robot are unknown except for --floor.
     """
     from dmframe.cli.options import quantity, whole, words
     from dmframe.common.units import joint_place

@@ -8,9 +8,11 @@ from typer.core import TyperGroup
 
 GROUPS: Final[dict[str, dict[str, str]]] = {
     "Start": {
+        "demo": "Open a live page: a controller next to its rivals.",
         "design": "Design a controller for a robot.",
         "which": "Choose a controller by five questions.",
         "new": "Copy a packaged graph, or write one for a robot.",
+        "path": "Write a recorded path as a block for a graph.",
         "graphs": "List the packaged graphs.",
         "robots": "List the packaged robots, or describe one.",
         "blocks": "List the block types, or describe one.",
@@ -20,11 +22,13 @@ GROUPS: Final[dict[str, dict[str, str]]] = {
         "check": "Build a graph; print blocks, wires, shapes, units.",
         "explain": "Describe a graph and its certificate in sentences.",
         "run": "Simulate graphs; write signals, figures, a summary.",
+        "studio": "Edit a graph in a browser, with its verdict.",
         "draw": "Draw the block diagram.",
         "page": "Write a live page that simulates in a browser.",
     },
     "Proof and analysis": {
         "verify": "Prove dV/dt for all gains, and check the conditions.",
+        "audit": "Compare the files of a folder with its graph's model.",
         "analyse": "Linearise: margins, poles, largest stable period.",
         "regressor": "Print or write the regressor of a robot; prove it.",
     },

@@ -90,7 +90,7 @@ def drive(
 ) -> int:
     """Drive a robot with a graph's controller, through the gate, and write the same results as `run`.
 
-    Ctrl-C and SIGTERM stop the robot. The gate is not a safety function, and nothing was tested on hardware.
+    Ctrl-C and SIGTERM stop the robot. The gate is not a safety function, and it was not tested on hardware.
     """
     from dmframe.cli.drive import drive_graph
     from dmframe.cli.graphs import one_graph

@@ -184,7 +184,7 @@ def _say(text: str, lost: list[Exception]) -> None:
 def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> tuple[list[Run], Sequence[dict[str, Any]]]:
     """The runs with V and with the notices on their graphs, and conclusions to keep.
 
-    What a graph concludes alone is recalled, if it was kept; else a copy of this process decides the notices while this
+    Conclusions that depend on a graph only are read from the cache, or a forked process decides the notices while this
     one evaluates V. After Ctrl-C there are fewer runs than graphs.
     """
     regular = len(runs) == len(graphs) and not any(run.divergence or run.recording.interrupted for run in runs)
@@ -203,7 +203,7 @@ def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> tuple[list[Run], Se
 
 
 def _conclusions(runs: Sequence[Run], notes: Sequence[Sequence[str]]) -> Sequence[dict[str, Any]]:
-    """What the graphs of runs conclude alone, as it is kept; nothing if it is not known of all of them."""
+    """Cached conclusions about the graphs of runs; empty unless there is an entry for each of them."""
     decided = [run.decided for run in runs]
     found = [{"doubts": texts, "V": V.data} for texts, V in zip(notes, decided, strict=True) if V is not None]
     return found if len(found) == len(runs) else ()

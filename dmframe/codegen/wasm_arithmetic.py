@@ -1,4 +1,4 @@
-"""Functions of `arithmetic.h` in WebAssembly, with the same operations, and the same bits if C fuses none of them."""
+"""Functions of `arithmetic.h` in WebAssembly: the same operations, bit-identical to C without fused multiply-add."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def check_place(path: str | Path) -> None:
             raise OutputError(f"{path}: expected a file, found a folder; choose a file in it")
         if not mode and not there.is_dir():
             raise OutputError(f"{path}: the folder {there} does not exist; create it first, or choose another")
-        if not os.access(there, os.W_OK):  # also for a file, which the folder's permissions alone would let be replaced
+        if not os.access(there, os.W_OK):  # also for a file, which could be replaced with the folder's permissions only
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 

@@ -44,6 +44,6 @@ class _Alias:
 
 
 def accept_former_paths() -> None:
-    """Let the former paths be imported: ``dmframe.certificate`` gives `dmframe.block.certificate`, and so on."""
+    """Make the former paths importable: ``dmframe.certificate`` gives `dmframe.block.certificate`, and so on."""
     if FormerModules not in sys.meta_path:
         sys.meta_path.append(FormerModules)

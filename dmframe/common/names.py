@@ -32,7 +32,7 @@ LETTERS: Final = {
 _NAMES: Final = {letter: name for name, letter in LETTERS.items()}
 
 ACCENTS: Final = {"hat": "hat", "bar": "bar", "err": "tilde"}
-"""Words of a name that stand above its letter, by their LaTeX."""
+"""Words of a name that are printed above its letter, by their LaTeX."""
 
 _COMBINING: Final = {"hat": "\u0302", "bar": "\u0304", "tilde": "\u0303", "dot": "\u0307", "ddot": "\u0308"}
 _START: Final = "(0)"
@@ -63,7 +63,7 @@ class Symbol:
 
 @cache
 def symbol(name: str) -> Symbol:
-    """Take a name apart. A name of words alone, ``maker_gravity``, stays one word.
+    """Split a name. A name of words only, ``maker_gravity``, stays one word.
 
     A Greek letter is its name, and the underscore that makes a name of Python's keyword ``lambda`` is not printed.
     """

@@ -111,7 +111,7 @@ def _words(words: str) -> str:
 
 
 def text_of(text: str) -> Text:
-    """A text as it is; a plain `str` is words alone."""
+    """A text unchanged; a plain `str` is words only."""
     return text if isinstance(text, Text) else Text(text)
 
 
@@ -149,7 +149,7 @@ def square_of(of: Text, weight: str = "") -> Text:
 
 
 def sentence(template: str, **given: Piece) -> Text:
-    """Words with a piece in place of each ``{name}``; a name that is not given is printed as a formula: ``{V}``."""
+    """Words with a piece instead of each ``{name}``; a name without an argument is printed as a formula: ``{V}``."""
     pieces = list[Piece]()
     for words, name, _, _ in Formatter().parse(template):
         pieces.append(words)

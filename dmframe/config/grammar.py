@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
+from annotated_types import MinLen
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
 
 from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
@@ -99,8 +100,11 @@ def _tolerance(value: Any) -> Any:
 
 
 def robot_name(value: Any) -> Any:
-    """A robot given by its name alone is that model with its defaults."""
+    """Expand a robot given by its name only to that model with its defaults."""
     return {"model": value} if isinstance(value, str) else value
+
+
+Identifier = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 class Section(BaseModel):
@@ -154,6 +158,44 @@ class LogSection(Section):
 
 
 @final
+class RivalSection(Section):
+    """A controller that a live page simulates next to the graph's own, on the same robot and path."""
+
+    title: str = Field(description="its name on the page")
+    blocks: dict[str, dict[str, Any] | None] | None = Field(
+        None, description="blocks as in `baseline`; by default those of `baseline`"
+    )
+    ghost: bool = Field(False, description="draw its tool and its error; otherwise only its error is printed")
+    note: str = Field("", description="a sentence next to its error")
+
+
+@final
+class ButtonSection(Section):
+    """A button of a live page, which sets values; a second press resets them."""
+
+    title: str = Field(description="text of the button")
+    set: Annotated[dict[str, Any], MinLen(1)] = Field(
+        description="values by block.parameter, or clock; the text now is the time that the page shows"
+    )
+    says: str = Field("", description="text that the page shows while the button is pressed")
+
+
+@final
+class PageSection(Section):
+    """What a live page shows in addition to the loop and its sliders."""
+
+    enlarge: Annotated[float, Field(strict=True, ge=1, le=1000)] = Field(
+        1, description="factor by which the page draws the deviation of the tool from its path"
+    )
+    rivals: dict[Identifier, RivalSection] = Field({}, description="controllers simulated next to this one")
+    buttons: dict[Identifier, ButtonSection] = Field({}, description="guided changes of values")
+
+    def __bool__(self) -> bool:
+        """Whether it states anything."""
+        return bool(self.rivals or self.buttons) or self.enlarge != 1
+
+
+@final
 class GraphFile(Section):
     """The keys of a graph file."""
 
@@ -185,6 +227,7 @@ class GraphFile(Section):
         description="channel models between controller and robot: a packaged set such as ur, or {like: ur, block type: "
         "{parameter: value}}; none for the ideal channel",
     )
+    page: PageSection = Field(PageSection(), description="rivals and buttons of the live page")
     uncertain: dict[str, Any] = Field(
         {},
         description="intervals of true parameters not known exactly, {servo.K_D: [600, 1000]}; for verify and study",
@@ -252,5 +295,9 @@ def _keys(path: Path) -> list[str]:
         ("robot",): RobotSection,
         ("solver",): SolverSection,
         ("log",): LogSection,
+        ("page",): PageSection,
     }
+    entries: dict[str, type[BaseModel]] = {"rivals": RivalSection, "buttons": ButtonSection}
+    if path[:1] == ("page",) and len(path) == 3 and path[1] in entries:
+        return list(entries[str(path[1])].model_fields)
     return list(sections[path].model_fields) if path in sections else []

@@ -28,7 +28,8 @@ from dmframe.config.reality import KEY, Stating, Step, after, expanded, names_re
 from dmframe.config.registry import Registry
 from dmframe.config.renamed import with_new_names
 from dmframe.config.resolved import resolved_text
-from dmframe.config.sections import at_name, blocks_of, check_baseline, robot_of, start_of, tolerance_in
+from dmframe.config.rivals import Entries, replaced_blocks, with_blocks
+from dmframe.config.sections import at_name, blocks_of, check_replaced, robot_of, start_of, tolerance_in
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Log, Recording, Solver, simulate
@@ -126,7 +127,8 @@ class BaseGraph:
         except ValidationError as error:
             faults += [fault_of(detail) for detail in error.errors(include_url=False)]
         blocks = blocks_of("blocks", data.get("blocks"), path.parent, faults)
-        check_baseline(data.get("baseline"), data.get("blocks"), path.parent, faults)
+        for key, section in replaced_blocks(data):
+            check_replaced(key, section, data.get("blocks"), path.parent, faults)
         if like is not None and (like.data.get("robot"), like.document.name) == (data.get("robot"), document.name):
             robot = like.robot
         else:
@@ -298,26 +300,25 @@ class BaseGraph:
         """
         if not self.file.baseline:
             raise MissingError(f"{self.name}: expected a key baseline, with the blocks to compare with; found none")
-        root: Any = self.document.root.value
-        sections = {key: node.value for key, (_, node) in root.items()}
-        blocks = {**sections["blocks"], **sections["baseline"]}
-        kept = {name: pair for name, pair in blocks.items() if pair[1].value is not None}
-        gone = blocks.keys() - kept.keys()
-        wires = {
-            end: pair
-            for end, pair in (sections.get("wires") or {}).items()
-            if not {end.partition(".")[0], pair[1].value.partition(".")[0]} & gone
-        }
-        others = {"blocks": kept, "wires": wires}
-        entries = {
-            key: (word, replace(node, value=others[key]) if key in others else node)
-            for key, (word, node) in root.items()
-            if key != "baseline"
-        }
-        path, document = Path(self.document.name), self.document.with_root(replace(self.document.root, value=entries))
-        made = self._made(document, path.with_stem(f"{path.stem}_baseline"))
-        swapped = tuple(name for name in sections["baseline"] if name in kept)
-        return replace(made, overrides=self.overrides, swapped=swapped)
+        section: Any = self.document.node(("baseline",)).value
+        made = self._replaced(self.document, section, "baseline")
+        swapped = tuple(name for name, (_, node) in section.items() if node.value is not None)
+        return replace(made, swapped=swapped)
+
+    def rival(self, name: str) -> Self:
+        """The graph with the blocks of a rival of its live page, ``page.rivals.NAME``; it has no file of its own."""
+        if not self.file.page.rivals[name].blocks:
+            return self.baseline()
+        section: Any = self.document.node(("page", "rivals", name, "blocks")).value
+        path = Path(self.document.name)
+        return self._replaced(replace(self.document, name=str(path.with_name(f"{path.stem}_{name}"))), section, name)
+
+    def _replaced(self, document: Document, section: Entries, ending: str) -> Self:
+        """The graph with the blocks of a section, and `ending` added to its name."""
+        changed = with_new_names(with_blocks(document, section, without=("baseline", "page")))
+        path = Path(self.document.name)
+        made = self._made(changed, path.with_stem(f"{path.stem}_{ending}"))
+        return replace(made, overrides=self.overrides)
 
     def with_steps(
         self, real: Sequence[Step], others: Sequence[Step], faults: list[DmframeError]

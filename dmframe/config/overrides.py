@@ -20,7 +20,7 @@ from dmframe.config.given import node_of
 LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
 """Sections whose keys may contain dots, such as ``servo.K_D``: the text after the section's name is one key."""
 NAMED: Final = {"robot": "model", "reality": "like"}
-"""Sections that may be given as a name alone, and the key for which the name stands."""
+"""Sections that may be given as a name only, and the key of that name."""
 _INNER = re.compile(r", first at :\d+:\d+")
 """A place in the line that the parser reads for an override; it is in no file of the user's."""
 _COMMENT = re.compile(r"(?:^|\s)#")
@@ -166,7 +166,7 @@ def _put(node: Node, keys: Sequence[str], value: Node, origin: str) -> Node:
     if not rest:
         entries[first] = (replace(key, origin=origin), value)
         return replace(node, value=entries)
-    if first in NAMED and isinstance(held.value, str):  # the section is a name alone
+    if first in NAMED and isinstance(held.value, str):  # the section is a name only
         held = replace(held, value={NAMED[first]: (held, held)})
     if held.value is not None and not isinstance(held.value, dict):
         raise ValueFault(f"{origin}: {first} has no keys")

@@ -82,7 +82,7 @@ class _Work:
         return f"{block}.{self.labels.get(block, {}).get(name, name)}" if dot else text
 
     def _start(self, text: str) -> str:
-        """A key of ``start``: a label, or a state's name alone."""
+        """A key of ``start``: a label, or a state's name only."""
         return self._label(text) if "." in text else self.states.get(text, text)
 
     def _keys(self, node: Node | None, new: Callable[[str], str]) -> Node | None:

@@ -13,7 +13,7 @@ from dmframe.robot.library import RobotSource, find_robot
 if TYPE_CHECKING:
     from dmframe.config.graph import BaseGraph
 
-_AFTER = ("wires", "baseline", "uncertain")
+_AFTER = ("wires", "baseline", "uncertain", "page")
 """Optional keys after the blocks."""
 
 
@@ -46,8 +46,8 @@ def resolved(graph: BaseGraph) -> dict[str, Any]:
         values = {key: value for key, value in block.model_dump().items() if value is not None}
         data["blocks"][name] = {"type": kind, **_plain(values)}
     for key in _AFTER:
-        if getattr(file, key):
-            data[key] = _plain(dict(getattr(file, key)))
+        if value := getattr(file, key):
+            data[key] = _plain(value.model_dump(exclude_defaults=True) if key == "page" else dict(value))
     return data
 
 

@@ -30,24 +30,27 @@ def kinds_of(section: Any, base: Path) -> dict[str, type[AbstractBlock]]:
     return found
 
 
-def check_baseline(section: Any, stated: Any, base: Path, faults: list[DmframeError]) -> None:
-    """Check that its blocks can be created, and that the blocks it removes exist in ``blocks``, given as `stated`."""
+def check_replaced(key: str, section: Any, stated: Any, base: Path, faults: list[DmframeError]) -> None:
+    """Check that the blocks of a section can be created, and that those it removes exist in ``blocks``, `stated`.
+
+    `key` is the dotted place of the section: ``baseline``, or ``page.rivals.NAME.blocks``.
+    """
     entries, blocks = (item if isinstance(item, dict) else {} for item in (section, stated))
     if entries:
         made = {name: spec for name, spec in entries.items() if spec is not None}
-        blocks_of("baseline", made or None, base, faults)
+        blocks_of(key, made or None, base, faults)
     faults += [
-        UnknownNameError(f"baseline.{name}", "block", name, blocks, path=("baseline", name))
+        UnknownNameError(f"{key}.{name}", "block", name, blocks, path=(*key.split("."), name))
         for name, spec in entries.items()
         if spec is None and name not in blocks
     ]
 
 
 def blocks_of(key: str, section: Any, base: Path, faults: list[DmframeError]) -> dict[str, AbstractBlock]:
-    """The blocks of a section, ``blocks`` or ``baseline``."""
+    """The blocks of a section; `key` is its dotted place, such as ``blocks``."""
     made = dict[str, AbstractBlock]()
     for name, spec in section.items() if isinstance(section, dict) else ():
-        where, path = f"{key}.{name}", (key, name)
+        where, path = f"{key}.{name}", (*key.split("."), name)
         if not NAME.fullmatch(name) or name == "robot":
             faults.append(ValueFault(f"{where}: expected a name of letters, digits and _, other than robot", path=path))
         elif isinstance(spec, dict) and "type" not in spec:
@@ -64,11 +67,11 @@ def blocks_of(key: str, section: Any, base: Path, faults: list[DmframeError]) ->
                 for fault in error.faults:
                     faults.append(fault)
     if isinstance(section, dict) and not section:
-        faults.append(MissingError(f"{key}: expected at least one block, found none", path=(key,)))
+        faults.append(MissingError(f"{key}: expected at least one block, found none", path=tuple(key.split("."))))
     return made
 
 
-def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
+def _block(path: tuple[str, ...], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
     where = ".".join(path)
     try:
         kind = find_block(spec["type"], base, f"{where}.type")
@@ -123,7 +126,7 @@ def tolerance_in(unit: str, file: GraphFile, document: Document) -> float | None
 
 
 def at_name(fault: DmframeError) -> DmframeError:
-    """The fault, placed at the robot's name if the graph gives the robot as a name alone."""
+    """The fault, located at the robot's name if the graph gives the robot as a name only."""
     if fault.path == ("robot", "model"):
         fault.path = ("robot",)
     return fault

@@ -1,4 +1,4 @@
-"""Candidates for the design: tuned laws, and the next best values of an adaptive law that fails a check."""
+"""Candidates for the design: tuned laws, and the next best values of a law that fails a check."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from dmframe.race.protocol import Choice
 from dmframe.race.run import Finished
 
 TRIED: Final = 3
-"""Values of an adaptive law that are checked, the best in training first."""
+"""Values of a law that are checked, the best in training first; the same number for each law."""
 
 
 @final
 class Contest:
-    """A finished race, and further candidates of its adaptive laws.
+    """A finished race, and further candidates of its laws.
 
     Attributes
     ----------
@@ -29,9 +29,9 @@ class Contest:
         self._finished, self._workers = finished, workers
         self.ranking: Ranking = ranked(finished, adaptive)
 
-    def adaptive(self) -> Iterator[Candidate]:
-        """Adaptive laws in the order of their errors; of each the values with the best training scores."""
-        for chosen in self.ranking.ordered(adaptive=True):
+    def candidates(self, *, adaptive: bool) -> Iterator[Candidate]:
+        """Laws of a kind in the order of their errors; of each the values with the best training scores."""
+        for chosen in self.ranking.ordered(adaptive=adaptive):
             yield chosen
             for choice in self._finished.choices:
                 if choice.law == chosen.law:
@@ -43,4 +43,4 @@ class Contest:
             race = self._finished.race
             runs = [Run(choice.law, cell, tried.values, race.file.seed + 1) for cell in race.held_out]
             errors = computed(race, runs, Kept(self._finished.folder), workers=self._workers)
-            yield Candidate(chosen.law, True, dict(tried.values), [errors[run] for run in runs])
+            yield Candidate(chosen.law, chosen.adaptive, dict(tried.values), [errors[run] for run in runs])

@@ -14,6 +14,11 @@ Outcome = Literal["adaptive", "simple", "blocked"]
 GRAPH: Final = "graph.yaml"
 REPORT: Final = "report.html"
 SUMMARY: Final = "design.json"
+RACE: Final = "race.yaml"
+RESULTS: Final = "race"
+PAGE: Final = "page.html"
+CONTROLLER: Final = "controller"
+COMMANDS: Final = "commands.txt"
 
 
 @final
@@ -49,6 +54,10 @@ class Designed:
         Files of the folder, each with what it is.
     log
         The log from which the servo was identified; empty without one.
+    notes
+        How the user's path was changed.
+    task
+        What follows the path.
     """
 
     outcome: Outcome
@@ -64,11 +73,13 @@ class Designed:
     files: Sequence[tuple[str, str]] = ()
     command: str = ""
     log: str = ""
+    notes: Sequence[str] = ()
+    task: str = "joints"
 
     @property
     def unit(self) -> str:
         """Unit of the errors."""
-        return self.ranking.unit if self.ranking else "mrad"
+        return self.ranking.unit if self.ranking else "mm" if self.task in ("position", "pose") else "mrad"
 
     @property
     def graph(self) -> Path | None:
@@ -106,6 +117,8 @@ class Designed:
             "rival": self.other.law if self.other else None,
             "clock": self.clock,
             "payload": self.payload,
+            "task": self.task,
+            "notes": list(self.notes),
             "checks": [vars(check) for check in self.checks],
         }
 

@@ -17,6 +17,8 @@ ADAPTIVE: Final = "adaptive"
 """Name of the law of the first graph."""
 CHANNEL: Final = "channel"
 """Name of the channel between controller and robot."""
+LIMITS: Final = {"joints": "0.1 rad", "tool": "0.1 m"}
+"""Error of a run above which it counts as diverged."""
 COUPLED: Final = 3
 """Largest number of joints with which the identified model contains the coupling of the joints."""
 
@@ -35,6 +37,8 @@ def race_text(first: FirstGraph, family: Family, motion: Motion, clock: float) -
     data: Any = YAML().load(find_twin(TEMPLATE).read_text(encoding="utf-8"))
     data["robot"], data["start"], data["clocks"] = graph["robot"], {"q": motion.start}, [clock]
     data["plants"], data["paths"] = dict(family.plants), dict(motion.paths)
+    data["error"], data["duration"] = motion.error, motion.seconds
+    data["limit"] = LIMITS[motion.error]
     data["training"]["plants"] = list(family.training)
     data["realities"] = {CHANNEL: family.channel}
     entrant = data["laws"][data["entrant"]]
@@ -52,10 +56,3 @@ def race_text(first: FirstGraph, family: Family, motion: Motion, clock: float) -
     }
     data["laws"][ADAPTIVE] = {"graph": FIRST, "tune": ranges}
     return dumped(data)
-
-
-def duration_of() -> float:
-    """Duration of the runs [s]."""
-    from ruamel.yaml import YAML
-
-    return float(str(YAML(typ="safe").load(find_twin(TEMPLATE).read_text(encoding="utf-8"))["duration"]).split()[0])

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal, final, get_args
 
-from dmframe.common.errors import ValueFault
+from dmframe.common.errors import MissingError, ValueFault
+from dmframe.common.files import expanded
 from dmframe.common.units import seconds, to_unit
 
 Task = Literal["joints", "position", "pose"]
@@ -26,7 +27,11 @@ class Request:
     robot
         Name of a packaged robot, or a URDF, xacro or MJCF file.
     task
-        What follows the path.
+        What follows the path: the joints, the position or the pose of the tool; None for what the path is of, or the
+        joints.
+    path
+        CSV file or ROS ``JointTrajectory`` with the path; see `read_path`. None for paths about a posture far from
+        singularities and limits.
     clock
         Sampling period [s]; None for that of the log, or `CLOCK`.
     payload
@@ -38,33 +43,44 @@ class Request:
     """
 
     robot: str
-    task: Task = "joints"
+    task: Task | None = None
     clock: float | None = None
     payload: float | None = None
     log: str | None = None
     tool: str | None = None
     hold: tuple[tuple[str, float], ...] = ()
+    path: str | None = None
 
     @classmethod
     def of(
         cls,
         robot: str,
         *,
-        task: str = "joints",
+        task: str | None = None,
         clock: str | float | None = None,
         payload: str | float | None = None,
         log: str | None = None,
         tool: str | None = None,
         hold: tuple[tuple[str, float], ...] = (),
+        path: str | None = None,
     ) -> Request:
-        """A checked request. Raises `ValueFault`."""
-        if task not in TASKS:
+        """A checked request.
+
+        Raises
+        ------
+        MissingError, ValueFault
+            A value is invalid, or a file does not exist.
+        """
+        if task is not None and task not in TASKS:
             raise ValueFault(f"task: expected {', '.join(TASKS)}, found {task}")
         period = None if clock is None else seconds("clock", clock)
         if period is not None and not SHORTEST <= period <= LONGEST:
             raise ValueFault(f"clock: expected a period from 2 ms to 100 ms, found {1000 * period:g} ms")
-        chosen: Task = next(item for item in TASKS if item == task)
-        return cls(robot, chosen, period, None if payload is None else _mass(payload), log, tool, hold)
+        for what, name in (("path", path), ("log", log)):
+            if name is not None and not expanded(name).exists():
+                raise MissingError(f"{what}: expected a file, found none: {name}")
+        chosen: Task | None = next((item for item in TASKS if item == task), None)
+        return cls(robot, chosen, period, None if payload is None else _mass(payload), log, tool, hold, path)
 
 
 def _mass(value: str | float) -> float:

@@ -24,7 +24,7 @@ class ClosedLoop:
 
     Expressions depend on independent variables ("leaves"): states, parameters, `trajectories`, the corrections of
     `projections`, and `sampled_signals`, the measured and commanded signals. The controller can therefore be extracted
-    alone, and trajectories can be left free. The methods replace leaves by their expressions.
+    separately, and trajectories can be left free. The methods replace leaves by their expressions.
 
     The map of a sample and the flow are defined here only: runs, code, exports, analyses and proofs take them from the
     methods, and `dmframe.diagram.fingerprint` hashes all fields and the results of the methods.

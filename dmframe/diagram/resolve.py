@@ -2,7 +2,7 @@
 
 Expressions depend on *leaves*: the states, the parameters, the measured and commanded signals, and the desired
 trajectories with their derivatives. The two sides are joined only in `closed_loop`, so that the controller can be
-extracted alone, as code, and the trajectories can be left free, as in a theorem.
+extracted separately, as code, and the trajectories can be left free, as in a theorem.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 r"""A third-order linearly implicit (Rosenbrock) method for stiff plants, and its linear systems.
 
-With :math:`A` in place of the rate's Jacobian and :math:`d` in place of its derivative by time, a step of length h is
+With :math:`A` instead of the rate's Jacobian and :math:`d` instead of its derivative by time, a step of length h is
 
 .. math::
 

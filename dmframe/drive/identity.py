@@ -39,7 +39,7 @@ Identity = Mapping[str, Mapping[str, str]]
 """Part -> item -> value or digest."""
 
 LOOP: Final = "closed loop"
-"""The part that results from the others; reported only if none of them changed."""
+"""The part that is computed from the others; reported only if none of them changed."""
 _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 

@@ -357,7 +357,7 @@ def _library(unit: Unit, source: str) -> bytes | None:
     with TemporaryDirectory(prefix="dmframe-") as folder:
         file, library = Path(folder, f"{unit.name}.c"), Path(folder, "unit.so")
         try:
-            file.write_bytes(encoded(source))  # for a moment: nothing is forced to the disk
+            file.write_bytes(encoded(source))  # temporary: no sync to the disk
             compiler.build_plain([file], library, define="FMI_SHARED")
         except (OSError, CompileFailed):
             return None

@@ -40,7 +40,7 @@ _FILES: Final = frozenset(
     # headers of C, which the exported header would hide
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
     "stdint stdio stdlib string tgmath threads time uchar wchar wctype memory strings unistd features "
-    # and of POSIX and glibc, some of which those of C include
+    # and of POSIX and glibc, some of which are included by the headers of C
     "aio alloca ar byteswap cpio dirent dlfcn elf endian err error fcntl fnmatch ftw getopt glob grp iconv langinfo "
     "libgen libintl link malloc monetary mqueue netdb nl_types nss poll pthread pwd regex regexp resolv sched search "
     "semaphore spawn syscall sysexits syslog tar termios ucontext ulimit utime utmp values wait wordexp xlocale "

@@ -98,7 +98,7 @@ def computed_by_c(diagram: Diagram, program: Program, texts: Mapping[str, str], 
         library = place / "replay.so"
         try:
             for name, text in texts.items():
-                (place / name).write_bytes(encoded(text))  # for a moment: nothing is forced to the disk
+                (place / name).write_bytes(encoded(text))  # temporary: no sync to the disk
             compiler.build_plain([place / f"{program.name}.c", place / "replay.c"], library, define="DM_NO_MAIN")
         except (OSError, CompileFailed):
             return None

@@ -167,7 +167,7 @@ class Graph(BaseGraph):
         return Analysis(self, found)
 
     def controller(self, *, engine: Choice = "auto") -> Controller:
-        """Its controller alone, one sample at a time, for a loop in real time.
+        """The controller without the plant, one sample at a time, for a real-time loop.
 
         Parameters
         ----------
@@ -312,7 +312,7 @@ class Graph(BaseGraph):
 
         return Drawing(self.diagram, self.title)
 
-    def page(self, *, periods: bool = True) -> Page:
+    def page(self, *, periods: bool = True, ghost: Graph | None = None) -> Page:
         """Its live page: the closed loop runs in a browser, with sliders for parameters, next to the verdict.
 
         A notebook displays it; `Page.save` writes one self-contained file. The graph is proved for it.
@@ -320,24 +320,24 @@ class Graph(BaseGraph):
         Parameters
         ----------
         periods
-            Compute the sampling periods up to which the loop is stable near its set-point, which takes two to five
-            seconds for a UR10. For longer periods the page does not apply a continuous-time proof to its clock.
+            Compute the sampling periods up to which the loop is stable near its set-point: seconds for a UR10.
+        ghost
+            Another graph of the robot, simulated next to it; by default the rivals of its key ``page``.
 
         Raises
         ------
         DmframeError
-            The loop cannot run in a browser, for example because it draws random numbers.
+            A loop cannot run in a browser, for example because it draws random numbers.
         """
-        from dmframe.page import Page
-        from dmframe.page.periods import stable_periods
+        from dmframe.page import Page, ghosts_of, stable_periods
 
-        verdict, found = self.verify().verdict, None
+        rivals, verdict, found = ghosts_of(self, ghost), self.verify().verdict, None
         with progress_line(self.name) as tell:
             if periods:
                 with SYMBOLIC:
                     found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
             tell("compiling the loop for a browser")
-            page = Page(self, verdict, found)
+            page = Page(self, verdict, found, rivals)
             _ = page.html
         return page
 

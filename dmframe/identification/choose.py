@@ -69,7 +69,7 @@ class Choice:
     def _full_feed_forward(self) -> bool:
         fit = self.fits["p_pi"]
         place = fit.unknowns.places["f"]
-        spread = 3 * np.sqrt(np.diag(fit.covariance)[place])  # of several joints, one may well be beyond 2
+        spread = 3 * np.sqrt(np.diag(fit.covariance)[place])  # with several joints, one may exceed 2 by chance
         return bool(np.all(np.abs(fit.theta[place] - 1) <= np.maximum(spread, NEAR)))
 
     def explained(self, kind: str) -> bool:
@@ -247,7 +247,7 @@ def _clearer(other: Choice, found: Choice) -> bool:
 def _shifted(unknowns: Unknowns, near: Fit) -> Iterator[Array]:
     """Starts with other delays, along the line on which delay and feed-forward have nearly the same effect.
 
-    To first order, a delay that is longer by t and f + a t in place of f give the same torque.
+    To first order, a delay that is longer by t and f + a t instead of f give the same torque.
     """
     place = near.unknowns.places["delay"].start
     f, a, _, _ = near.unknowns.family(near.theta[:, None])

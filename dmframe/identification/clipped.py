@@ -20,7 +20,7 @@ SHARE: Final = 0.02
 ALIKE: Final = 0.1
 """Largest unexplained fraction of the motion with clipped commands."""
 UNLIKE: Final = 10.0
-"""In place of this fraction where the motion has another size than the commands."""
+"""Fraction that applies if motion and commands have different magnitudes."""
 NEAR: Final = 0.03
 """Relative range around a first estimate in which the limit is searched."""
 LEVELS: Final = np.linspace(0.2, 1.0, 33)
@@ -88,7 +88,7 @@ def refined(t: Array, q: Array, u: Array, j: int, speed: float) -> float:
     """The limit of joint j with which a linear equation of the servo leaves the least of the filtered velocity.
 
     The equation has the columns of all servos of `dmframe.identification.model`, and the positions and accelerations of
-    all joints in place of the robot's dynamics.
+    all joints instead of the robot's dynamics.
     """
     from scipy.optimize import minimize_scalar
 

@@ -33,7 +33,7 @@ SPEED: Final = {"revolute": 0.4, "prismatic": 0.1}
 SHARE: Final = 0.5
 """Fraction of a joint's velocity limit that steps use."""
 CANDIDATES: Final = 4
-"""Random excitations of which the most informative is proposed."""
+"""Number of random excitations; the most informative one is proposed."""
 POSTURES: Final = 40
 """Random postures in which shapes that always overlap are found."""
 TABLE: Final = 0.02

@@ -173,12 +173,12 @@ class Identified:
 
     @property
     def indistinguishable(self) -> tuple[str, ...]:
-        """What positions and commands alone cannot separate."""
+        """Quantities that positions and commands cannot separate."""
         return (*ALWAYS, *(_OF_F if self.choice.best.startswith("p_pi") else ()), *self._cascade, *self._twice)
 
     @property
     def _twice(self) -> tuple[str, ...]:
-        """Joints of which two cascades have the same motion."""
+        """Joints for which two cascades have the same motion."""
         own = self._second
         return tuple(
             f"joint {j + 1}: a cascade with k_p {own['k_p'][j]:.4g}, k_i {own['k_i'][j]:.4g} 1/s, f {own['f'][j]:.4g}, "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,7 +105,9 @@ def _csv(file: Path, content: bytes) -> dict[str, np.ndarray]:
     if all(_number(name) is not None for name in names):
         raise ValueFault("expected a header with names of columns, found numbers; add one", location=f"{file}:1")
     try:
-        rows = np.loadtxt(io.StringIO(text), delimiter=None if separator == " " else separator, skiprows=1, ndmin=2)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "loadtxt: input contained no data")  # the caller reports too few rows
+            rows = np.loadtxt(io.StringIO(text), delimiter=None if separator == " " else separator, skiprows=1, ndmin=2)
     except ValueError:
         raise _fault(file, text, names, separator) from None
     if rows.shape[0] and rows.shape[1] != len(names):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -14,15 +15,17 @@ from dmframe.certify.checked import Checked
 from dmframe.codegen.wasm import loop_module
 from dmframe.common.errors import ValueFault
 from dmframe.common.names import unicode_name
-from dmframe.common.text import text_of
+from dmframe.common.text import Text, text_of
 from dmframe.common.version import version
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text, robot_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.page.buttons import buttons_of
 from dmframe.page.functions import Functions, Group, Place, functions_of, place_of
 from dmframe.page.origin import origin_of
 from dmframe.page.periods import Periods
+from dmframe.page.rivals import Rival, check_rival, rivals_of, shared_parameters
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
 from dmframe.report.command import command
@@ -34,29 +37,34 @@ from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
 
 HORIZON = 20.0
 """Maximum simulated time of a page [s]."""
-"""Suffix of the small-gain condition with the least kappa, which a page shows separately."""
 
 
-def content_of(graph: BaseGraph, verdict: Verdict, periods: Periods | None = None) -> dict[str, Any]:
+def content_of(
+    graph: BaseGraph, verdict: Verdict, periods: Periods | None = None, rivals: Sequence[Rival] | None = None
+) -> dict[str, Any]:
     """Collect the data of a page, with the compressed WebAssembly module in base64.
 
     Parameters
     ----------
     periods
         Largest stable sampling periods near the set-point; None if not computed.
+    rivals
+        Controllers simulated next to the graph's own; None for those of the graph.
 
     Raises
     ------
     EngineError
-        If the loop contains an operation that WebAssembly code cannot compute.
+        If a loop contains an operation that WebAssembly code cannot compute.
     ValueFault
-        If the loop uses random numbers.
+        If a loop uses random numbers, or a rival has other joints or another error.
     """
     diagram = graph.diagram
     check_chance(graph)
-    loop, file = diagram.loop, graph.file
+    rivals = rivals_of(graph) if rivals is None else rivals
+    file = graph.file
     functions = functions_of(diagram, file.clock, graph.start, verdict, graph.intervals(diagram))
     state = start_state(diagram, graph.start)
+    horizon = min(HORIZON, file.duration)
     return {
         "dmframe": version(),
         "name": graph.name,
@@ -64,18 +72,35 @@ def content_of(graph: BaseGraph, verdict: Verdict, periods: Periods | None = Non
         "command": command(graph, "run")._asdict(),
         "title": file.title,
         "text": resolved_text(graph),
+        "periods": None if periods is None else periods.data,
+        "fingerprint": diagram.fingerprint,
+        "origin": origin_of(graph),
+        **_loop(graph, functions, state),
+        "starts": {"rows": list(functions.starts[0]), "reads": list(functions.starts[1])},
+        "operations": functions.operations,
+        "sliders": [slider.data for slider in sliders_of(diagram, verdict, functions.heeded)],
+        "enlarge": file.page.enlarge,
+        "rivals": [_rival(graph, rival) for rival in rivals],
+        "buttons": buttons_of(graph, diagram, verdict, horizon),
+        "groups": [_group(diagram, group, verdict) for group in functions.groups],
+        "axes": "".join(axis_labels(diagram)) if diagram.robot is not None else "",
+        "robot": _robot(graph, functions, state),
+        "verdict": _verdict(graph.name, verdict, functions),
+    }
+
+
+def _loop(graph: BaseGraph, functions: Functions, state: np.ndarray) -> dict[str, Any]:
+    """What the solver of a page reads of a loop."""
+    diagram, file = graph.diagram, graph.file
+    loop = diagram.loop
+    return {
         "module": _packed(loop_module(functions.parts, functions.exported)),
         "clock": file.clock,
         "tick": file.clock if file.clock is not None else graph.solver.output,
         "step": graph.solver.step,
         "horizon": min(HORIZON, file.duration),
         "solver": {"plain": PLAIN_STEP, "takes": graph.solver.takes, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
-        "periods": None if periods is None else periods.data,
-        "fingerprint": diagram.fingerprint,
-        "origin": origin_of(graph),
         "sizes": _sizes(functions),
-        "starts": {"rows": list(functions.starts[0]), "reads": list(functions.starts[1])},
-        "operations": functions.operations,
         "p": _numbers(loop.p_values),
         "state": _numbers(state),
         "bounds": _numbers(bounds_of(diagram)),
@@ -85,12 +110,25 @@ def content_of(graph: BaseGraph, verdict: Verdict, periods: Periods | None = Non
         ],
         "flowing": stack(v.symbol for v in loop.flowing).numel(),
         "pose": _pose(diagram, functions),
-        "sliders": [slider.data for slider in sliders_of(diagram, verdict, functions.heeded)],
         "goal": None if functions.goal is None else _group(diagram, functions.goal),
-        "groups": [_group(diagram, group, verdict) for group in functions.groups],
-        "axes": "".join(axis_labels(diagram)) if diagram.robot is not None else "",
-        "robot": _robot(graph, functions, state),
-        "verdict": _verdict(graph.name, verdict, functions),
+    }
+
+
+def _rival(graph: BaseGraph, rival: Rival) -> dict[str, Any]:
+    """A rival's loop, which is not judged, and the parameters that it shares with the graph."""
+    check_rival(graph, rival)
+    check_chance(rival.graph)
+    other = rival.graph
+    functions = functions_of(other.diagram, other.clock, other.start, Verdict("not_applicable", Text()))
+    (error,) = (group for group in functions.groups if group.kind == "error")
+    return {
+        "name": other.name,
+        "title": rival.title,
+        "ghost": rival.ghost,
+        "note": rival.note,
+        "shared": shared_parameters(graph, other),
+        "error": _group(other.diagram, error),
+        "loop": _loop(other, functions, start_state(other.diagram, other.start)),
     }
 
 
@@ -114,6 +152,7 @@ def _sizes(functions: Functions) -> dict[str, int]:
         "shown": functions.shown.numel_out(0),
         "judged": functions.judged.numel_out(0),
         "reach": 0 if functions.reach is None else functions.reach.numel_out(0),
+        "stored": 0 if functions.stored is None else functions.stored.numel_out(0),
         "scene": functions.scene,
     }
 
@@ -205,7 +244,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
         "headline": verdict.headline,
         "sampled": verdict.samples is not None,
         "reason": verdict.reason.unicode,
-        "text": verdict_text(name, verdict),
+        "text": verdict_text(name, verdict, times=False),  # the same graph gives the same page
         "conclusions": [f"{item.signal.unicode} {item.says}" for item in verdict.statements if item.concludes]
         if verdict.outcome == "proved"
         else [],

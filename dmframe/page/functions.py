@@ -34,7 +34,8 @@ class Group:
     Parameters
     ----------
     kind
-        ``error``, ``turn`` (orientation error of a tool), ``storage``, ``command`` or ``estimate``.
+        ``error``, ``turn`` (orientation error of a tool), ``storage``, ``steps`` (source whose steps start a new V),
+        ``command`` or ``estimate``.
     label
         Label ``block.name`` of the signal.
     of
@@ -71,6 +72,8 @@ class Functions:
         (pose, p) -> distance of the pose from the start of the path, and its Jacobian; None without a sought pose.
     shown
         (state, t, T, p) -> plotted values: `scene`, then the groups.
+    stored
+        (state, t, T, p) -> V and the values of sources whose steps start a new V; None without V.
     judged
         (pose, T, p) -> margins of `conditions`, least kappa, true values of estimates. Conditions may depend on initial
         states, which are taken as given, inside their box or not.
@@ -105,13 +108,14 @@ class Functions:
     tacit: tuple[tuple[ParameterMargin, Place | None], ...]
     reads: tuple[tuple[int, ...] | None, ...]
     kappa: int | None
+    stored: Any = None
     starts: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
     operations: int = 0
 
     @property
     def exported(self) -> tuple[Any, ...]:
         """Functions exported in addition to the loop."""
-        return tuple(f for f in (self.begin, self.reach, self.shown, self.judged) if f is not None)
+        return tuple(f for f in (self.begin, self.reach, self.shown, self.judged, self.stored) if f is not None)
 
     def heeded(self, moved: Set[int], values: np.ndarray) -> set[int]:
         """Elements of p among `moved` that affect any visible result, the others fixed at `values`.
@@ -170,13 +174,19 @@ def functions_of(
     turn, distance = turn_of(loop), rotation_distance_of(loop)
     if turn is not None and distance is not None:
         groups.append(add("turn", distance, TurnError.unit, turn))
-    operations = 0
+    operations, whole = 0, list[SX]()
     if verdict.outcome == "proved" and verdict.flow_claim is not None:
         stored = _terms(verdict, least)
         operations = _function(
             "V", [loop.state, loop.time, loop.p], [loop.on_path(loop.acting([stored])[0])]
         ).n_instructions()
         groups.append(add("storage", "", "", stored))
+        whole.append(ca.sum1(stored))
+        for signal in loop.outputs:
+            name = signal.label.rpartition(".")[2]
+            if any(out.steps and out.name == name for out in diagram.models[signal.block].block.outputs):
+                groups.append(add("steps", signal.label, signal.unit, ca.vec(signal.expression)))
+                whole.append(ca.vec(signal.expression))
     for leaf in loop.commanded:
         if leaf.name.rpartition(".")[2].endswith("_c"):
             groups.append(add("command", leaf.name, units.get(leaf.name, ""), ca.vec(leaf.symbol)))
@@ -196,13 +206,18 @@ def functions_of(
         )
         judged = judged if true is None else ca.vertcat(judged, true)
     reads = [loop.state, loop.time, loop.period, loop.p]
-    shown = loop.on_path(loop.acting([stack([scene, *drawn])])[0])
+
+    def read(name: str, columns: Sequence[SX]) -> Any:
+        without = ca.substitute(loop.on_path(loop.acting([stack(columns)])[0]), loop.drawn, 0 * loop.drawn)
+        return _function(name, reads, [without])
+
     return Functions(
         parts=build_parts(loop, clock, ca.SX(0, 1)),
         posed=posed,
         begin=_function("begin", known, [initial]),
         reach=reach,
-        shown=_function("shown", reads, [ca.substitute(shown, loop.drawn, ca.SX.zeros(loop.drawn.numel()))]),
+        shown=read("shown", [scene, *drawn]),
+        stored=read("stored", whole) if whole else None,
         judged=_function("judged", known, [_started(claim, judged, started)]),
         scene=scene.numel(),
         goal=goal,

@@ -20,8 +20,9 @@ from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.page.content import content_of
 from dmframe.page.periods import Periods
+from dmframe.page.rivals import Rival
 
-SCRIPTS: Final = ("solver.js", "verdict.js", "plot.js", "scene.js", "sliders.js", "page.js")
+SCRIPTS: Final = ("solver.js", "verdict.js", "rivals.js", "plot.js", "scene.js", "sliders.js", "page.js")
 """Scripts in the order of the page."""
 ENDINGS: Final = (".html", ".htm")
 MARK: Final = b'<script type="application/json" id="data">'
@@ -43,16 +44,19 @@ class Page(AboutGraph):
         Its verdict; the page re-evaluates the conditions at the slider values.
     periods
         Largest stable sampling periods near the set-point; None if not computed.
+    rivals
+        Controllers simulated next to the graph's own; None for those of the graph.
     """
 
     graph: BaseGraph
     verdict: Verdict
     periods: Periods | None = None
+    rivals: tuple[Rival, ...] | None = None
 
     @cached_property
     def html(self) -> str:
         """HTML of the page."""
-        return assembled(content_of(self.graph, self.verdict, self.periods))
+        return assembled(content_of(self.graph, self.verdict, self.periods, self.rivals))
 
     def save(self, path: str | Path) -> Path:
         """Write the page; raises `OutputError` for an ending other than .html, or if it cannot be written."""

@@ -97,7 +97,7 @@ def sliders_of(diagram: Diagram, verdict: Verdict, heeded: Heeded | None = None)
     known = {group for item in known_truths(diagram) for group in item.groups}
     for parameter in diagram.loop.parameters:
         size = parameter.symbol.numel()
-        if parameter.label not in verdict.fixed and _free(diagram, parameter, verdict):
+        if parameter.label not in verdict.fixed and changes_alone(diagram, parameter, verdict):
             found += _of(diagram, parameter, at, size, known)
         at += size
     if heeded is not None:
@@ -118,7 +118,7 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Colle
     kind = type(diagram.blocks[block])
     group, spec = GROUPS[kind.side], specs(kind).get(name)
     description = unmarked(about(kind).parameters.get(name, ""))
-    shown, written = unicode_name(name), _written(diagram, parameter)
+    shown, places = unicode_name(name), written(diagram, parameter)
     if group == "path" and unit in REACHES and (spec is None or not spec.sign):
         if size > MOST:
             return []
@@ -136,17 +136,17 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Colle
                 1,
                 REACHES[unit],
                 at,
-                written,
+                places,
             )
             for k in range(size)
         ]
     if not np.any(values) or (spec is not None and spec.form in ("box", "ball")):
         return []
     most = NARROW if group == "path" else WIDE
-    return [Slider(parameter.label, group, block, shown, description, unit, "factor", at, size, most, at, written)]
+    return [Slider(parameter.label, group, block, shown, description, unit, "factor", at, size, most, at, places)]
 
 
-def _written(diagram: Diagram, parameter: Parameter) -> Any:
+def written(diagram: Diagram, parameter: Parameter) -> Any:
     """Indices of the parameter in the structure given to its block."""
     block, _, name = parameter.label.partition(".")
     given, size = np.asarray(getattr(diagram.blocks[block], name)), parameter.symbol.numel()
@@ -190,7 +190,7 @@ def _takes(diagram: Diagram, slider: Slider, value: float) -> bool:
     return True
 
 
-def _free(diagram: Diagram, parameter: Parameter, verdict: Verdict) -> bool:
+def changes_alone(diagram: Diagram, parameter: Parameter, verdict: Verdict) -> bool:
     """True for a parameter that can change alone: same diagram, same certificate, no dependent parameter."""
     if parameter.label.startswith("robot."):
         return parameter.label in ROBOT

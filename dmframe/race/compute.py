@@ -63,7 +63,7 @@ class Heat:
             graphs.append(like)
         try:
             found = self._measured(graphs)
-        except DmframeError:  # one graph cannot be built: each by itself, so that its fault is not that of the others
+        except DmframeError:  # if one graph cannot be built, each is built separately, so that the others have no fault
             found = [self._alone(graph) for graph in graphs]
         return {"error": [error for error, _ in found], "fault": [fault for _, fault in found]}
 

@@ -245,7 +245,7 @@ class Race:
     def _reality(self, run: Run) -> Node:
         """Channel models of a run; a delay and a gain have the values of the margins, or no effect.
 
-        The margins then differ in numbers alone, and need no machine code of their own.
+        The margins then differ in numbers only, and need no machine code of their own.
         """
         name = run.cell.reality
         node = self._entry("realities", name)

@@ -58,7 +58,7 @@ def run_race(
     ----------
     out
         The folder. Its journal holds runs by everything that decides them, so that an interrupted race continues, and a
-        race with another law computes the runs of that law alone.
+        race with another law computes the runs of that law only.
     workers
         Processes; by default as many as there are cores.
     executor

@@ -1,1 +1,1 @@
-"""Verdicts of ``dmframe verify`` that are kept, and shown again while everything they were made from is the same."""
+"""Cache of the verdicts of ``dmframe verify``; an entry is valid while all of its inputs are unchanged."""

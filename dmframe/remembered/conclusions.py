@@ -1,6 +1,6 @@
-"""What ``dmframe run`` concludes from its graphs alone, kept while everything that they were made from is the same.
+"""Cache of what ``dmframe run`` concludes from its graphs only; valid while all inputs are unchanged.
 
-A run computes and prints again everything that depends on its samples. What does not, such as the stability near the
+A run computes and prints again everything that depends on its samples. The rest, such as the stability near the
 set-point or the conditions under which there is a V, is decided once; a graph, a block or a library that has changed
 since is decided again.
 """
@@ -21,7 +21,7 @@ def recall(entry: dict[str, Any]) -> None:
 
 
 def recalled(count: int) -> Sequence[dict[str, Any]]:
-    """What was kept, for each of so many graphs; empty where nothing was."""
+    """Cached conclusions, one for each of `count` graphs; empty without an entry."""
     return _recalled if len(_recalled) == count else ()
 
 

@@ -51,7 +51,7 @@ _REFUSED: Final = frozenset(
     )
 )
 _COPIES: Final = copies.__file__
-"""The module whose forked processes hand over what they read."""
+"""The module whose forked processes return a list of what they read."""
 _METADATA: Final = os.path.join("importlib", "metadata", "")  # noqa: PTH118 - see front
 
 Noted = tuple[tuple[tuple[str, str], ...], str]
@@ -72,7 +72,7 @@ class Recorder:
         self.aside = list[str]()
         self._began = time.time_ns()
         self._seen, self._written = dict[tuple[str, str], None](), set[str]()
-        self._known = set[tuple[str, str]]()  # what a forked process need not hand over
+        self._known = set[tuple[str, str]]()  # what a forked process does not have to return
         self._library, self._cache = _libraries(), os.path.join(os.path.dirname(place), "")  # noqa: PTH118, PTH120
 
     def add(self, kind: str, name: str) -> None:
@@ -278,7 +278,7 @@ def paused() -> Iterator[None]:
 
 
 def end() -> Recorder | None:
-    """Stop watching; returns what was recorded, None where nothing was."""
+    """Stop recording; return the record, or None if the recorder was not active."""
     os.environ.__class__ = _Watched.__base__
     return _watching.pop() if _watching else None
 

@@ -1,4 +1,4 @@
-"""Verdicts on the disk: one file each, whole or not at all, of this user alone.
+"""Verdicts on the disk: one file each, written atomically, accessible to this user only.
 
 A file holds a digest and, compressed, a JSON object. It is written next to its place and renamed, so that several
 processes may write the same at once. What is damaged, or what others may have written, is ignored.

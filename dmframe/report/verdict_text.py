@@ -19,7 +19,7 @@ HARD: Final = "\N{NO-BREAK SPACE}"
 WIDEST: Final = 116
 
 
-def verdict_text(name: str, verdict: Verdict) -> str:
+def verdict_text(name: str, verdict: Verdict, *, times: bool = True) -> str:
     """Terminal page; `name` is the name of the graph."""
     parts = [f"{name}: {verdict.headline}", fill(f"  {verdict.reason.unicode}", **_wrapped())]
     if verdict.claim is not None:
@@ -48,7 +48,7 @@ def verdict_text(name: str, verdict: Verdict) -> str:
         parts += ["  assumptions", *(_line(text_of(item.text)) for item in verdict.assumptions)]
     if verdict.statements and verdict.outcome == "proved":
         parts += ["  conclusions", *_followed(verdict)]
-    if verdict.flow_claim is not None:
+    if verdict.flow_claim is not None and times:
         parts.append(f"  {verdict.build:.2f} s to build V and {DV.unicode}, {verdict.check:.2f} s to decide")
     return "\n".join(parts)
 

@@ -70,7 +70,7 @@ class Constants:
 
 
 def residual_of(claim: Claim) -> SX:
-    """What the claim lets V gain in a sample, before what it loses is subtracted."""
+    """Largest increase of V in a sample according to the claim, before its decrease is subtracted."""
     return total([part.residual for part in claim.parts])
 
 

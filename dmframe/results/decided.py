@@ -1,4 +1,4 @@
-"""What a graph decides about V along its runs, whatever they record: it is kept by `dmframe.remembered`."""
+"""Decisions about V along the runs of a graph that are independent of the samples; `dmframe.remembered` caches them."""
 
 from __future__ import annotations
 

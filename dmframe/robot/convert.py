@@ -90,8 +90,10 @@ def _from_mjcf(path: Path, where: str) -> RobotFile:
 
     try:
         found = pin.buildModelFromMJCF(str(path))
-    except (ValueError, RuntimeError, OSError) as fault:
+    except Exception as fault:  # Pinocchio lets errors of its parser through, such as of a missing default class
         reason = " ".join(str(fault).rpartition("message:")[2].split()).rstrip(".")  # without lines of its source
+        if isinstance(fault, IndexError):
+            reason = "a name in it refers to nothing, such as a default class or a file that is not included"
         raise RobotError(f"{where}: Pinocchio cannot read this MJCF file: {reason}") from None
     model = found[0] if isinstance(found, tuple) else found
     root = Element("robot", name=path.stem)

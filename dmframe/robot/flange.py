@@ -14,7 +14,7 @@ AXES: Final = (4, 7)
 FINGERS: Final = 2
 """A branch with at most so many moving joints in a row is part of a gripper or a head."""
 FINGER: Final = 4
-"""Most moving joints of a finger of a hand."""
+"""Largest number of moving joints in a finger."""
 FLANGES: Final = re.compile(r"tool0|tcp|flange|tool|ee|eef|end.?effector|gripper_frame|link_?8|attachment|pinch", re.I)
 """Names of tool frames, as makers use them."""
 JAWS: Final = re.compile(r"jaw|finger|claw|knuckle|^(gripper|hand)(_joint)?$", re.I)
@@ -29,9 +29,9 @@ def flange_of(root: Element, where: str) -> str:
     Raises
     ------
     RobotError
-        The robot has several arms, or none; the message lists the frames.
+        The robot has several arms, or none; the message lists the frames. Or it has no base.
     """
-    ends = _Tree(root).ends(_base(root), 0)
+    ends = _Tree(root).ends(_base(root, where), 0)
     arms = [end for end in ends if AXES[0] <= end[1]]
     if len(ends) == 1 or len(arms) == 1:
         return (arms or ends)[0][0]
@@ -108,9 +108,14 @@ def _moves(joint: Element) -> bool:
     return joint.get("type") in MOVING and joint.find("mimic") is None
 
 
-def _base(root: Element) -> str:
+def _base(root: Element, where: str) -> str:
     ends = {_child(joint) for joint in root.findall("joint")}
-    return next(link.get("name", "") for link in root.findall("link") if link.get("name") not in ends)
+    links = [link.get("name", "") for link in root.findall("link")]
+    base = next((name for name in links if name not in ends), None)
+    if base is None:
+        found = "each link is the child of a joint" if links else "there is none, as in a file that only defines macros"
+        raise RobotError(f"{where}: expected a base, a link that is the child of no joint; {found}")
+    return base
 
 
 def _child(joint: Element) -> str:

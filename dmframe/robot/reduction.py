@@ -39,7 +39,7 @@ def reduce_model(
     names = list(model.names)[1:]
     _check_names(where, names, free, hold)
     for joint in names:
-        # Pinocchio's reduction crashes on a joint without a frame, which a model built by hand may have.
+        # Pinocchio's reduction crashes on a joint without a frame, which a hand-written model may have.
         if not model.existFrame(joint, pin.FrameType.JOINT):
             raise RobotError(
                 f"{where}: joint {joint} has no frame in the model; call model.addJointFrame on it",

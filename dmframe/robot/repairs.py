@@ -19,7 +19,7 @@ DENSITY: Final = 5.0
 LEAST: Final = 0.5
 """Least placeholder mass of a link [kg]."""
 UNLIMITED: Final = "1e9"
-"""Velocity or effort that stands for none [SI units]."""
+"""Value of a velocity or effort that means no limit [SI units]."""
 STROKE: Final = 0.5
 """Placeholder limit of a prismatic joint [m]."""
 

@@ -145,7 +145,7 @@ def _joint(joint: Element) -> Found:
 
 
 def _single(parent: Element, tag: str) -> Found:
-    """Report repeated elements, of which the reader would silently use one."""
+    """Report repeated elements, since the reader would use one of them without a message."""
     if len(found := parent.findall(tag)) > 1:
         yield found[1], f"expected one <{tag}>, found {len(found)}"
 

@@ -16,7 +16,7 @@ from dmframe.runtime.signals import measured_as, velocity_command
 class ScaledController:
     """Controller whose time runs `scale` times as fast as the robot's.
 
-    Its period is scale T, and it reads velocities dq / scale, so that it sees the same robot on a slower path. Friction
+    Its period is scale T, and it reads velocities dq / scale, so its inputs are those of a slower path. Friction
     and inertia do not scale alike, so that adaptation continues; a law with frozen estimates need not be stable.
     """
 

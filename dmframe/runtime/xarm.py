@@ -261,7 +261,7 @@ class XArm:
 
 @final
 class Report:
-    """Report of the arm; arrays are (7,), of which an arm with fewer joints uses the first.
+    """Report of the arm; arrays are (7,), and an arm with fewer joints uses the first elements.
 
     `missed` is the number of samples lost before this one.
     """

@@ -228,7 +228,7 @@ def turned(diagram: Diagram, followed: Followed, unknown: Variable) -> Followed:
         return followed
     label = f"{distance.rpartition('.')[0]}.{TURNED}"
     wanted = [loop.on_path(ca.vec(signal.expression)) for signal in loop.outputs if signal.label == label]
-    if not wanted or not symbols_in(wanted) <= symbols_in([loop.time, loop.p]):  # not a function of time alone
+    if not wanted or not symbols_in(wanted) <= symbols_in([loop.time, loop.p]):  # not a function of time only
         return followed
     found = ca.vec(robot.rotation(unknown.symbol))
     goal, place = ca.vertcat(ca.vec(followed.wanted), wanted[0]), ca.vertcat(ca.vec(followed.found), found)

@@ -141,7 +141,7 @@ def _runs_lead(t: ReportData) -> Lead:
 
 
 def _settings_lead(t: ReportData, ran: Sequence[PointFindings], place: int, rest: str) -> Lead:
-    """The answer for several settings of which some never diverged."""
+    """The answer for several settings, some of which never diverged."""
     found, steady = t.found, t.found.steady
     fewest, most = min(each.runs for each in steady), max(each.runs for each in ran)
     runs = count(most) if fewest == most else f"{count(fewest)} to {count(most)}"
@@ -162,7 +162,7 @@ def _settings_lead(t: ReportData, ran: Sequence[PointFindings], place: int, rest
 
 
 def _all_diverge_lead(t: ReportData, ran: Sequence[PointFindings], place: int, rest: str) -> Lead:
-    """The answer for several settings at each of which some run diverged."""
+    """The answer for several settings, all of which diverged in some run."""
     points, least = t.found.points, min(ran, key=lambda each: each.alone[place].value)
     where = f"each of {len(points)} settings"
     if len(ran) < len(points):

@@ -64,7 +64,7 @@ class Extent:
 
     @property
     def _parts(self) -> int:
-        """Parts of a point's samples; the remainder is a part by itself, or lengthens the last one."""
+        """Division of a point's samples; the remainder is a separate chunk, or lengthens the last one."""
         return max(round((self.stop - self.first) / self.samples), 1)
 
     @property
@@ -144,7 +144,7 @@ class Sizes:
         fitting = max(int(self.work * count / max(seconds, 1e-9)), 1)
         if self._along == "samples" and seconds < self.work * count:  # includes the preparation of a new worker
             fitting = max(fitting, FIRST)
-        if self._timed and seconds >= LEAST:  # the very first one includes compilation
+        if self._timed and seconds >= LEAST:  # the first run includes compilation
             self._settle(fitting)
         else:
             self._size = min(fitting, count * GROWTH)

@@ -129,7 +129,7 @@ def eighths_figure(found: Findings) -> Any:
 
 
 def influence_figure(found: Findings) -> Any:
-    """Proportion of the ranks' variance that each factor explains alone: bars, with a colour per grid point."""
+    """Proportion of the ranks' variance that each factor explains by itself: bars, with a colour per grid point."""
     main = found.results.main
     shown = [each for each in found.points[:SHOWN] if each.influences.get(main)]
     if not main or not shown:

@@ -116,12 +116,12 @@ def _read(source: Any) -> tuple[Document, str, Path | None]:
 
 
 def is_graph(document: Document) -> bool:
-    """True for a graph's file in place of a study's."""
+    """True for a graph's file instead of a study's."""
     return "dmframe" in document.data and "dmframe-study" not in document.data
 
 
 def _with_uncertain(document: Document, graph: Graph, fixed: Sequence[str]) -> Document:
-    """The study with what the graph's section `uncertain` leaves open in place of its empty `sample`.
+    """The study, with the graph's section `uncertain` instead of its empty `sample`.
 
     Each element is drawn uniformly from its interval, independent of the others; labels that the study sets are not.
     """

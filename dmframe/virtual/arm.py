@@ -1,4 +1,4 @@
-"""Kinematics of a UR's six joints, some of which the graph may hold at fixed angles."""
+"""Kinematics of a UR's six joints; the graph may fix some of them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOST_STEPS: Final = 100
 @final
 @dataclass(frozen=True)
 class Arm:
-    """A UR as a client sees it, with six joints.
+    """A UR with six joints, as in the interface for clients.
 
     Parameters
     ----------

@@ -332,7 +332,7 @@ class VirtualRobot:
         return self.safety.release(EMERGENCY)
 
     def power_off(self) -> None:
-        """Switch the arm's power off: it stops, and its servo holds it in place of the brakes."""
+        """Switch off the power of the arm: it stops, and the servo holds it as a substitute for the brakes."""
         self.safety.power(POWER_OFF)
         self.end_program("the power is off")
         self.motion = Stop(SAFE_DECELERATION)

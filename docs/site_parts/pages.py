@@ -10,7 +10,10 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]
 DOCS: Final = ROOT / "docs"
-AT_ROOT: Final = ("CLAIMS.md", "KNOWN_GAPS.md", "CHANGELOG.md", "CONTRIBUTING.md")
+AT_ROOT: Final = (
+    *("CLAIMS.md", "KNOWN_GAPS.md", "CHANGELOG.md", "CONTRIBUTING.md"),
+    *("SECURITY.md", "CODE_OF_CONDUCT.md", "GOVERNANCE.md"),
+)
 """Pages in the root of the repository; in the site they are next to the first page."""
 PAGES: Final = (".md", ".png", ".svg", ".csv", ".gif")
 """Suffixes of pages under `docs`, and of their parts."""

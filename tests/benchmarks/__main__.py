@@ -1,9 +1,9 @@
-"""Our code next to what one would pick instead: ``python -m tests.benchmarks``.
+"""dmframe compared with other tools: ``python -m tests.benchmarks``.
 
 Parts: (a) the closed loop of ur10_fast, (b) of ur10_full, (c) the controller step, (d) cost against the number of
 joints, (e) time to first result, (f) a batch, (g) a stiff loop, (h) SIMD batches. All ratios of a table come from one
-run on one machine. Peers are an optional dependency group: ``pip install --group peers``; one that is missing is
-reported as missing. Status 1 with --check if a ratio fell behind the baseline.
+run on one machine. Other tools are an optional dependency group: ``pip install --group peers``; the table lists a
+missing one as missing. With --check the exit status is 1 if a ratio is below the baseline.
 """
 
 from __future__ import annotations

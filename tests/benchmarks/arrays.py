@@ -1,4 +1,4 @@
-"""The robot's equations in arrays, as one writes them in JAX first: 3 x 3 matrices, cross products, a solver."""
+"""The robot's equations in arrays, as a first version in JAX: 3 x 3 matrices, cross products, a linear solver."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Robot:
         return self.xp.array([[zero, -a[2], a[1]], [a[2], zero, -a[0]], [-a[1], a[0], zero]])
 
     def rotations(self, q: Any) -> list[Any]:
-        """Of each link in its parent, by Rodrigues' formula."""
+        """Rotation of each link relative to its parent, by Rodrigues' formula."""
         xp, found = self.xp, []
         for j in range(self.n):
             K = self.skew(self.axis[j])

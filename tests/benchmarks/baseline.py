@@ -1,7 +1,7 @@
-"""A baseline of ratios, and whether a new table falls behind it.
+"""A baseline of ratios, and the comparison of a new table with it.
 
-Times differ from machine to machine; ratios measured in one run, on a quiet one, much less. Every ratio says how
-many times better ours is, or how little a cost has grown, so that a smaller one is worse.
+Times differ between machines; ratios that are measured in one run on a quiet machine differ much less. Every ratio is
+larger if dmframe is better, or if a cost has grown less, so a smaller ratio is worse.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from tests.benchmarks.table import Report
 
 FILE = Path(__file__).with_name("baseline.json")
 TOLERANCE = 1.5
-"""A ratio may fall to its baseline divided by this; more is a regression, or a machine too busy for a measurement."""
+"""A ratio may decrease to its baseline divided by this; below it is a regression, or the machine was too busy."""
 
 
 @dataclass(frozen=True)
 class Regression:
-    """A row that fell behind, or that does not count any more."""
+    """A row below the baseline, or one that is no longer comparable."""
 
     key: str
     expected: float
@@ -33,7 +33,7 @@ class Regression:
 
 
 def write(report: Report, file: Path = FILE) -> None:
-    """Keep the ratios that count."""
+    """The ratios of comparable rows."""
     ratios = {row.key: float(f"{row.ratio:.4g}") for row in report.rows if row.ratio is not None}
     kept = {"command": report.command, "tolerance": TOLERANCE, "ratios": ratios}
     file.write_text(json.dumps(kept, indent=2) + "\n", encoding="utf-8")
@@ -46,7 +46,7 @@ def read(file: Path = FILE) -> dict[str, float]:
 
 
 def regressions(report: Report, ratios: dict[str, float], tolerance: float = TOLERANCE) -> list[Regression]:
-    """What fell behind. A peer that is missing here, or a part that was not run, is no regression."""
+    """The rows below the baseline. A tool that is not installed here, or a part that was not run, is no regression."""
     found = list[Regression]()
     for row in report.rows:
         expected = ratios.get(row.key)

@@ -20,13 +20,13 @@ GRAPH = "ur10_fast"
 
 
 def grid(size: int) -> Array:
-    """(gamma, Gamma, Lambda) of each run; of `size` runs the first of 1000."""
+    """(gamma, Gamma, Lambda) of each run; for `size` runs the first of 1000."""
     gamma, Gamma, Lambda = np.linspace(0.5, 1.5, 10), np.logspace(0, 1, 10), np.logspace(-3, -2, 10)
     return np.array(list(product(gamma, Gamma, Lambda)))[:: max(1, 1000 // size)][:size]
 
 
 def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
-    """`dmframe.batch`: the error's figures and the last pose are kept; values, starts and steps are in its time."""
+    """`dmframe.batch`: stores figures of the error and the last pose; values, starts and steps are part of its time."""
     from dataclasses import replace
 
     from dmframe.batch.batch import Batch
@@ -45,7 +45,7 @@ def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
 
 
 def whole(size: int, seconds: float, step: float) -> dict[str, Any]:
-    """`simulate_many`, a run kept as its last pose."""
+    """`simulate_many`, of which the last pose of each run is stored."""
     from dataclasses import replace
 
     from dmframe.graph.graph import Graph
@@ -76,7 +76,7 @@ def whole(size: int, seconds: float, step: float) -> dict[str, Any]:
 
 
 def gains(loop: Loop, size: int) -> dict[str, Array]:
-    """Those of the grid, shaped as the loop's, with the run as first axis."""
+    """The values of the grid, in the shapes of the loop, with the run as first axis."""
     values = grid(size)
     return {
         "gamma": values[:, 0],
@@ -86,7 +86,7 @@ def gains(loop: Loop, size: int) -> dict[str, Array]:
 
 
 def by_jaxonomy(size: int, seconds: float, step: float, *, together: bool = False) -> dict[str, Any]:
-    """`simulate_batch`; compiled anew each time it is called, so that compilation is in its time."""
+    """`simulate_batch`; compiled again at each call, so its time includes compilation."""
     import logging
 
     import jaxonomy as jx
@@ -114,7 +114,7 @@ def by_jaxonomy(size: int, seconds: float, step: float, *, together: bool = Fals
 
 
 def by_vmap(size: int, seconds: float, step: float) -> dict[str, Any]:
-    """JAX by hand, all runs in one vectorised loop; compilation left out."""
+    """Hand-written JAX, all runs in one vectorised loop; its time excludes compilation."""
     import jax
     import jax.numpy as jnp
 
@@ -171,7 +171,7 @@ METHODS: dict[str, tuple[str, dict[str, Any], str, str]] = {
 def section(
     size: int, seconds: float, step: float, limit: float, report: Callable[[str], None] = lambda text: None
 ) -> Section:
-    """One row a method."""
+    """One row for each method."""
     rows, reference = list[Row](), dict[str, Any]()
     for name, (job, options, package, note) in METHODS.items():
         report(f"(f) {name}")

@@ -1,7 +1,7 @@
-"""How long certificates take, and how sure they are: ``python tests/benchmarks/certify.py [--sympy SECONDS]``.
+"""Time and error bound of certificates: ``python tests/benchmarks/certify.py [--sympy SECONDS]``.
 
 Every combination of {task, joint} tracking, {PI, PID} servo, with and without projection, on robots of 2 to 7 joints
-with viscous and Coulomb friction; then SymPy on the smallest of them, in a process of its own that a time limit ends.
+with viscous and Coulomb friction; then SymPy on the smallest of them, in a separate process with a time limit.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Case:
     projection: bool
 
     def graph(self) -> str:
-        """Its graph file; a certificate leaves the trajectory free, so that any source will do."""
+        """Graph file of a configuration; the certificate is independent of the trajectory, so any source suffices."""
         robot, n, m = ROBOTS[self.robot]
         kind, gains, boxes = INVERSES[self.servo]
         goal = f"q_d: {[0.5] * n}" if self.task == "joint" else f"x_d: {[0.3] * m}"
@@ -79,7 +79,7 @@ class Case:
         return "\n".join(lines) + "\n"
 
     def verdict(self) -> tuple[Verdict, float]:
-        """The verdict, and the seconds from the text to it."""
+        """The verdict, and the seconds from the text of the graph to it."""
         begin = time.perf_counter()
         graph = Graph.of(read_document(self.graph(), f"{self.robot}.yaml"))
         return verify(graph.diagram), time.perf_counter() - begin
@@ -96,7 +96,7 @@ def rows(robots: Sequence[str]) -> Iterator[tuple[str, ...]]:
 
 
 def identity(verdict: Verdict) -> float:
-    """Seconds of the exact test alone, three points, without conditions and fault injection."""
+    """Seconds of the exact test with three points, without conditions and fault injection."""
     if verdict.claim is None:
         return float("nan")
     claim = assembled(verdict.claim)
@@ -106,9 +106,9 @@ def identity(verdict: Verdict) -> float:
 
 
 def residual() -> Any:
-    """dV/dt plus the claimed dissipation, of the planar arm with PI servo and joint tracking, by hand in SymPy.
+    """dV/dt plus the claimed dissipation of the planar arm with PI servo and joint tracking, written by hand in SymPy.
 
-    Five base parameters, viscous friction, every gain and trajectory a symbol.
+    Five base parameters and viscous friction; every gain and trajectory is a symbol.
     """
     import sympy as sp
 
@@ -159,7 +159,7 @@ def residual() -> Any:
 
 
 def simplified(way: str, answer: Any) -> None:
-    """Decide with SymPy whether the residual vanishes; the answer and the seconds go into a pipe."""
+    """Decide with SymPy whether the residual vanishes; write the answer and the seconds to a pipe."""
     import sympy as sp
 
     begin = time.perf_counter()
@@ -168,13 +168,13 @@ def simplified(way: str, answer: Any) -> None:
         zero = sp.simplify(R) == 0
     elif way == "trigsimp":
         zero = sp.trigsimp(sp.expand(R)) == 0
-    else:  # a person has stated that sin^2 = 1 - cos^2 of two angles is all that is needed
+    else:  # hint for SymPy: sin^2 = 1 - cos^2 of two angles is the only identity that is required
         zero = with_a_hint(R) == 0
     answer.send((bool(zero), time.perf_counter() - begin))
 
 
 def with_a_hint(R: Any) -> Any:
-    """One fraction of polynomials, sines and cosines as symbols, reduced by s^2 + c^2 = 1."""
+    """One quotient of polynomials with sines and cosines as symbols, reduced by s^2 + c^2 = 1."""
     import sympy as sp
 
     q_1, q_2 = sp.symbols("q_1:3", real=True)
@@ -185,7 +185,7 @@ def with_a_hint(R: Any) -> Any:
 
 
 def by_sympy(way: str, limit: float) -> str:
-    """What SymPy says within a time limit."""
+    """SymPy's answer within a time limit."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=simplified, args=(way, theirs))
@@ -203,7 +203,7 @@ def by_sympy(way: str, limit: float) -> str:
 
 
 def table(lines: Iterator[tuple[str, ...]]) -> None:
-    """Print rows as they come, in columns wide enough for the heads and the usual entries."""
+    """Print rows as they arrive, in columns wide enough for the headings and the usual entries."""
     widths = [9, 8, 5, 10, 14, 7, 11, 8, 11]
     for line in lines:
         say("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
@@ -216,14 +216,14 @@ def say(line: str) -> None:
 
 
 def main() -> int:
-    """Print the table, then SymPy's answers."""
+    """Print the table, then the answers of SymPy."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="*", default=list(ROBOTS), choices=list(ROBOTS))
     parser.add_argument("--sympy", type=float, default=60, metavar="SECONDS", help="time limit; 0 leaves SymPy out")
     chosen = parser.parse_args()
     table(rows(chosen.robots))
     if chosen.sympy:
-        Case("arm2", "joint", "PI", False).verdict()  # once, so that nothing is imported in the measured one
+        Case("arm2", "joint", "PI", False).verdict()  # once, so that the measured run imports nothing
         verdict, seconds = Case("arm2", "joint", "PI", False).verdict()
         alone = f"the identity alone in {1e3 * identity(verdict):.0f} ms"
         say(f"\narm2, joint tracking, PI servo\n  engine: {verdict.outcome} after {1e3 * seconds:.0f} ms, {alone}")

@@ -1,4 +1,4 @@
-"""(d): what a chain of n joints costs to build, to compile, to step and to verify."""
+"""(d): the cost to build, compile, step and verify a chain of n joints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STAGES = ("build", "compile", "step", "verify")
 
 
 def urdf(n: int) -> str:
-    """A chain of n equal joints about z, y, x, z, ... in turn; heavy rotors keep it from being stiff at any length."""
+    """A chain of n equal joints about z, y, x, z, ... in turn; heavy rotors avoid stiffness at any length."""
     lines = ['<robot name="chain">', '<link name="link_0"/>']
     axes = ("0 0 1", "0 1 0", "1 0 0")
     for j in range(n):
@@ -55,7 +55,7 @@ blocks:
 
 
 def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
-    """Seconds of each requested stage; building comes first in any case. The step is one tick of 8 ms."""
+    """Seconds of each requested stage; the chain is always built first. The step is one sample of 8 ms."""
     from dmframe.certify import verify
     from dmframe.graph.graph import Graph
     from dmframe.simulate import simulate
@@ -65,7 +65,7 @@ def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
         Path(folder, "chain.urdf").write_text(urdf(n), encoding="utf-8")
         file = Path(folder, "chain.yaml")
         file.write_text(graph(n), encoding="utf-8")
-        _ = Graph.read("pendulum").diagram  # so that imports are not counted
+        _ = Graph.read("pendulum").diagram  # so that imports are not measured
         begin = time.perf_counter()
         loaded = Graph.read(file)
         diagram = loaded.diagram

@@ -1,4 +1,4 @@
-"""(a) and (b): the closed loop for a given time, by ours and by every peer."""
+"""(a) and (b): the closed loop over a given time, in dmframe and in every other tool."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.benchmarks.table import Row, Section
 from tests.benchmarks.worker import Failed, measure
 
 TOLERANCE = 1e-4
-"""Largest distance of any joint angle at any sample from ours, of a row that counts [rad]."""
+"""Largest distance of any joint angle at any sample from that of dmframe, for comparable rows [rad]."""
 
 SIX_JOINTS = ("ours_compiled", "ours_interpreted", "cpp_pinocchio", "jax_by_hand", "numpy_pinocchio")
 ENOUGH, MOST = 1.0, 15
@@ -25,7 +25,7 @@ Run = Callable[[str, str, float, float, float], dict[str, Any]]
 
 
 def timed(key: str, graph: str, seconds: float, step: float) -> dict[str, Any]:
-    """One peer's joint angles and the seconds that its best run took; runs repeat until they fill a second."""
+    """Joint angles of one tool and the seconds of its fastest run; runs are repeated for at least one second."""
     from tests.benchmarks.loop import Loop
 
     begin = time.perf_counter()
@@ -42,7 +42,7 @@ def timed(key: str, graph: str, seconds: float, step: float) -> dict[str, Any]:
 
 
 def elsewhere(key: str, graph: str, seconds: float, step: float, limit: float) -> dict[str, Any]:
-    """`timed` in a process of its own."""
+    """`timed` in a separate process."""
     return measure("closed_loop:timed", limit, key=key, graph=graph, seconds=seconds, step=step)
 
 
@@ -58,7 +58,7 @@ def section(
     look: Callable[[str], type[Peer]] = find,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Section:
-    """The rows of one graph, ours first."""
+    """The rows of one graph, dmframe first."""
     found, missing = dict[str, dict[str, Any]](), dict[str, str]()
     order = list(peers)
     for key in order:
@@ -72,7 +72,7 @@ def section(
             missing[key] = f"failed: {failure}"
     reference = next((key for key in order if key.startswith("ours") and key in found), None)
     if reference is not None and len(found) > 1:
-        # Every ratio hangs on this one, so it is measured at both ends of the run, in case one was disturbed.
+        # Every ratio depends on this one, so it is measured at both ends of the run, in case one was disturbed.
         progress(f"({part}) {graph}: {look(reference).title}, again")
         with suppress(Failed):
             again = run(reference, graph, seconds, step, limit)
@@ -96,7 +96,7 @@ def section(
 def row(
     part: str, peer: type[Peer], seconds: float, missing: str, found: dict[str, Any] | None, ours: dict[str, Any] | None
 ) -> Row:
-    """One peer's row."""
+    """The row of one tool."""
     note = "; ".join(text for text in (peer.method, peer.note) if text)
     if found is None:
         status = "failed" if missing.startswith("failed") else "missing"
@@ -120,7 +120,7 @@ def row(
 
 
 def agreed(q: Array, ours: Array) -> tuple[bool, str]:
-    """Is a trajectory ours, and how far from it is it?"""
+    """Whether a trajectory equals that of dmframe, and the largest distance."""
     if q.shape != ours.shape:
         return False, f"{q.shape[0]} samples for {ours.shape[0]}"
     distance = float(np.max(np.abs(q - ours)))

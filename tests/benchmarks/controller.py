@@ -1,4 +1,4 @@
-"""The adaptive controller in NumPy on Pinocchio, as the Python peers run it: every block's equations by hand."""
+"""The adaptive controller in NumPy and Pinocchio, as used by the Python tools: every block's equations by hand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Controller:
         self.reset()
 
     def reset(self) -> None:
-        """Put the states back to t = 0."""
+        """Reset the states to t = 0."""
         for name in STATES:
             setattr(self, name, self.loop.start[name].copy())
 
@@ -63,7 +63,7 @@ class Controller:
         return dq_r, ddq_r
 
     def step(self, t: float, q: Array, dq: Array, q_c: Array) -> Array:
-        """The command dq_c from what is measured at t; then the states advance to t + T."""
+        """The command dq_c from the measurements at t; then the states advance to t + T."""
         gain, T = self.gain, self.loop.T
         dq_r, ddq_r = self.reference(t, q, dq)
         dq_ref, ddq_ref = dq_r - gain["K_c"] * (q - self.q_r), ddq_r - gain["K_c"] * (dq - dq_r)
@@ -87,7 +87,7 @@ class Controller:
 
 
 class Plant:
-    """The maker's PID servo and the robot with friction: x = (q_c, i, q, dq)."""
+    """The manufacturer's PID servo and the robot with friction: x = (q_c, i, q, dq)."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop, self.n = loop, loop.n
@@ -95,7 +95,7 @@ class Plant:
         self.start = np.concatenate([loop.start[name] for name in ("q_c", "i", "q", "dq")])
 
     def rate(self, x: Array, dq_c: Array) -> Array:
-        """dx/dt under a command."""
+        """dx/dt for a given command."""
         loop, n = self.loop, self.n
         q, dq = x[2 * n : 3 * n], x[3 * n :]
         error = q - x[:n]

@@ -1,4 +1,4 @@
-"""(c): one step of the controller, in C and from Python, against the Pinocchio calls that it replaces."""
+"""(c): one step of the controller, in C and from Python, compared with the Pinocchio calls that it replaces."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NOTES = {
 
 
 def in_c(graph: str) -> dict[str, Any]:
-    """Seconds of a step of ours in the compiled loop: a run with no plant steps, its log switched to one column."""
+    """Seconds of a dmframe step in the compiled loop: a run without steps of the plant that records one column only."""
     from dmframe.graph.graph import Graph
     from dmframe.simulate import start_state
     from dmframe.simulate.engine import Compiled
@@ -56,7 +56,7 @@ def in_c(graph: str) -> dict[str, Any]:
 
     def steps() -> None:
         state = start.copy()
-        # A robot that does not move winds up the adaptation: short runs from the start keep it where a robot has it.
+        # Without motion of the robot the adaptation winds up: short runs from the start keep it in its usual range.
         for first in range(0, STEPS, 1000):
             state[:] = start
             done = engine.advance(state, p, first + 1, 1000, rows)
@@ -69,7 +69,7 @@ def in_c(graph: str) -> dict[str, Any]:
 
 
 def in_python(graph: str) -> dict[str, Any]:
-    """Seconds of a step of ours, called from Python as a real-time loop does."""
+    """Seconds of a dmframe step called from Python, as in a real-time loop."""
     from dmframe.graph.graph import Graph
     from dmframe.runtime import Controller
 
@@ -104,7 +104,7 @@ def by_cpp(graph: str) -> dict[str, Any]:
 
 
 def fastest(work: Callable[[], Any], repeats: int = 5) -> float:
-    """Seconds of the best of some repeats; the first is not counted."""
+    """Seconds of the fastest repeat; the first one is discarded."""
     work()
     best = np.inf
     for _ in range(repeats):

@@ -1,4 +1,4 @@
-"""(e): the time to a first result, as processes of their own."""
+"""(e): the time to a first result, each measured in a separate process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FIRST, WHOLE = "first numbers", "all files and figures written"
 
 
 def seconds(code: str, folder: Path, cache: Path, word: str = "") -> tuple[float, float]:
-    """Of a process that runs this code: until it prints a line that begins with `word`, and until its end."""
+    """Seconds until a process with this code prints a line that begins with `word`, and until its end."""
     begin, first = time.perf_counter(), float("nan")
     with subprocess.Popen(
         [sys.executable, "-c", code],
@@ -48,7 +48,7 @@ def section(graph: str = "ur10_fast", progress: Callable[[str], None] = lambda t
     found: dict[str, float] = {}
     with TemporaryDirectory() as place:
         folder, cache = Path(place), Path(place, "cache")
-        seconds(code, folder, cache)  # so that Python's own byte code is there
+        seconds(code, folder, cache)  # so that Python's bytecode exists
         caches = {"cold": [Path(place, f"cold_{k}") for k in range(REPEATS)], "warm": [cache] * REPEATS}
         for state, places in caches.items():
             first, whole = zip(*(seconds(code, folder, each, graph) for each in places), strict=True)

@@ -2,11 +2,11 @@
 
 Each seed is a UR10 with three joints, masses of links +-25 %, 0 to 5 kg at the tool, rotors, friction (half of them
 with a Stribeck term), a servo of one of five kinds, a 17-bit encoder, a delay of 0 to 3 samples, and steps
-for 20 s at 2 or 8 ms. In seeds 80 to 99 friction also grows with the servo's torque. From seed 100 on every fourth
-robot deviates otherwise: friction that grows with the torque or differs by direction, recorded times with a jitter of
-10 % of the period, or 1 % lost samples.
+for 20 s at 2 or 8 ms. In seeds 80 to 99 friction also increases with the servo's torque. From seed 100 on every fourth
+robot has another deviation: friction that increases with the torque or differs by direction, recorded times with a
+jitter of 10 % of the period, or 1 % lost samples.
 
-With FILE each result is a line of JSON in it, and seeds that are there are not computed again. ``--verdict`` also
+With FILE each result is written to it as a line of JSON, and seeds in FILE are not computed again. ``--verdict`` also
 computes the verdict, and the errors of its laws on the hidden robot.
 """
 
@@ -74,7 +74,7 @@ def servo_of(seed: int, rng: np.random.Generator) -> tuple[Servo, dict[str, Arra
 
 
 def deviation_of(seed: int) -> str:
-    """What distinguishes a robot from the others; empty for most."""
+    """Distinguishing features of a robot; empty for most."""
     if OTHER <= seed < STUDY:
         return DEVIATIONS[0]
     return DEVIATIONS[seed // 4 % 4] if seed >= STUDY and seed % 4 == 3 else ""
@@ -163,7 +163,7 @@ def compared(found: Identified, plant: Plant, delay: int, folder: Path) -> Itera
 
 
 def line(own: dict[str, Any]) -> str:
-    """One robot in words."""
+    """Description of one robot."""
     text = f"{own['seed']} {KINDS[own['seed'] % 5]} {own['deviation']}: {own['class']}, {own['seconds']:.0f} s"
     if "delay" in own:
         true, samples, low, high = own["delay"]
@@ -180,7 +180,7 @@ def line(own: dict[str, Any]) -> str:
 
 
 def totals(all_: list[dict[str, Any]]) -> Iterator[str]:
-    """The figures of all robots."""
+    """Figures over all robots."""
     right, none = [own for own in all_ if "gains" in own], sum(own["class"] not in CLASSES for own in all_)
     exact = sum(round(own["delay"][1]) == own["delay"][0] for own in right)
     inside = sum(own["delay"][2] <= own["delay"][0] <= own["delay"][3] for own in right)

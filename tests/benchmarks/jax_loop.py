@@ -1,4 +1,4 @@
-"""The loop in JAX, for the peers that trace it: (control, rate) in double precision."""
+"""The loop in JAX for tools that trace it: (control, rate) in double precision."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from tests.benchmarks.scalars import Robot, dot, plus, times
 
 
 def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
-    """The sampled law (t, z, x, gains) -> (dq_c, z after T), the rate (x, dq_c) -> dx, and both states' starts.
+    """The sampled law (t, z, x, gains) -> (dq_c, z after T), the rate (x, dq_c) -> dx, and both initial states.
 
-    The robot's equations are in arrays, or in scalars, which XLA fuses into few kernels.
+    The robot's equations are in arrays, or in scalars, which XLA fuses into a few kernels.
     z holds the controller's states in the order of `STATES`, x the servo's and the robot's: (q_c, i, q, dq).
     """
     import jax
@@ -91,7 +91,7 @@ def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
 
 
 def integrated(rate: Callable[[Any, Any], Any], x: Any, dq_c: Any, h: float, substeps: int) -> Any:
-    """x after some steps of classical Runge-Kutta, the command held."""
+    """x after some steps of the classical Runge-Kutta method with a held command."""
     import jax
 
     def step(_: Any, x: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The closed loop that every peer simulates, read from one of our graphs: numbers only, nothing of our engine.
+"""The closed loop that every tool simulates, read from a packaged graph: numbers only, independent of the engine.
 
 The loop is that of ``ur10_fast`` and ``ur10_full``: a tool that follows a circle, the Slotine-Li regressor with viscous
 and Coulomb friction, gradient adaptation, the inverse of a PID servo; sampled, with the servo and the robot continuous.
@@ -31,7 +31,7 @@ STATES = {
 
 
 TIMED = {"ur10_full": ("blocks.posture=null", "dynamics.Gamma=100", "dynamics.a_d_hat_box=null")}
-"""What of a packaged graph is taken away or changed before it is timed: the other tools keep no posture."""
+"""Parts of a packaged graph that are removed or changed before the comparison: the other tools have no posture task."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Loop:
 
     @cached_property
     def links(self) -> list[dict[str, Array]]:
-        """Of each joint: rotation R and translation r in its parent, axis, and mass m, lever c, inertia I about c."""
+        """For each joint: rotation R and translation r from its parent, axis, mass m, lever c, inertia I about c."""
         from dmframe.robot.reduction import motion_subspace
 
         found = []
@@ -101,11 +101,11 @@ class Loop:
         return np.array(self.model.frames[self.tool].placement.translation)
 
     def ticks(self, seconds: float) -> int:
-        """Sampling instants in a time."""
+        """Number of sampling instants in a time."""
         return round(seconds / self.T)
 
     def substeps(self, step: float) -> int:
-        """Equal integrator steps of at most `step` [s] in a tick."""
+        """Equal integrator steps of at most `step` [s] in a sample."""
         return max(1, int(np.ceil(round(self.T / step, 9))))
 
     def desired(self, t: float) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""On what a table was measured."""
+"""The machine and the software versions of a table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.benchmarks.peers.cpp_pinocchio import compiler
 
 
 def describe() -> dict[str, str]:
-    """Processor, load, interpreter, and the versions of what ours stands on."""
+    """Processor, load, interpreter, and the versions of the packages that dmframe requires."""
     load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
     return {
         "machine": f"{processor()}, {os.cpu_count()} cores, {platform.system()}",
@@ -29,7 +29,7 @@ def describe() -> dict[str, str]:
 
 
 def of(package: str) -> str:
-    """A distribution's version."""
+    """The version of a distribution."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -37,7 +37,7 @@ def of(package: str) -> str:
 
 
 def processor() -> str:
-    """Its name, where the system reports one."""
+    """Name of the processor, if the system reports one."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text(encoding="utf-8").splitlines():
@@ -47,7 +47,7 @@ def processor() -> str:
 
 
 def compiler_version() -> str:
-    """The C++ compiler's first line."""
+    """The first line of the C++ compiler's version."""
     command = compiler()
     if command is None:
         return "none"
@@ -56,7 +56,7 @@ def compiler_version() -> str:
 
 
 def environment(*, single: bool = True) -> dict[str, str]:
-    """What a measured process gets: this one's import path and, where it is to have one core, one thread."""
+    """Environment of a measured process: the import path of this process, and one thread if it has one core."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     one = dict.fromkeys(names, "1")
     one["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"

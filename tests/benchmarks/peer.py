@@ -1,4 +1,4 @@
-"""What a peer is: a tool that simulates our closed loop."""
+"""The interface of a compared tool: a simulator of the closed loop."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from tests.benchmarks.loop import Array, Loop
 class Peer(ABC):
     """The closed loop in one tool.
 
-    Making an instance builds the model; `run` simulates from the start each time it is called.
+    Construction builds the model; `run` simulates from the start at each call.
 
     Attributes
     ----------
-    title : as the table calls it
-    package : the distribution that it needs, as `pip` calls it; "" for none
-    module : what to import from it
-    method : how it integrates the plant, "" for as the graph says
-    note : what is unfair, and to whom
+    title : name in the table
+    package : the required distribution, by its name for `pip`; "" for none
+    module : the module to import from it
+    method : integration method of the plant; "" for that of the graph
+    note : in which respect the comparison is unfair, and to which tool
     """
 
     title: ClassVar[str]
@@ -43,12 +43,12 @@ class Peer(ABC):
         """The joint angles at every sampling instant, (ticks + 1, n) [rad]."""
 
     def warm(self, seconds: float) -> None:
-        """What is not timed: the compilation that a run of that length needs."""
+        """Preparation that is not timed: the compilation for a run of that length."""
         self.run(min(seconds, 1.0))
 
     @classmethod
     def missing(cls) -> str:
-        """What is missing to run it, and how to install it; "" if nothing is."""
+        """What is missing to run the tool, and how to install it; "" if it can run."""
         if cls.module and importlib.util.find_spec(cls.module) is None:
             return f"missing: {cls.package} is not installed; pip install --group peers"
         return ""

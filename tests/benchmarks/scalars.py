@@ -1,6 +1,6 @@
-"""The robot's equations in scalars, for tools that fuse or compile scalar code: JAX and what builds on it.
+"""The robot's equations in scalars, for tools that fuse or compile scalar code, such as JAX.
 
-Vectors are lists of three; constants are Python floats, of which zeros are dropped, as a code generator would.
+Vectors are lists of three; constants are Python floats, and zeros are dropped as in generated code.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Vector = list[Any]
 
 
 def zero(a: Any) -> bool:
-    """Is it a constant zero?"""
+    """True for a constant zero."""
     return isinstance(a, float) and a == 0.0
 
 
@@ -56,12 +56,12 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 def sym(f: Callable[[Vector, Vector], Vector], a: Vector, b: Vector) -> Vector:
-    """The symmetric bilinear form of which f(a, a) is the quadratic one."""
+    """The symmetric bilinear form of the quadratic form f(a, a)."""
     return f(a, a) if a is b else times(0.5, plus(f(a, b), f(b, a)))
 
 
 class Robot:
-    """A chain of revolute joints; `sin` and `cos` are the tool's."""
+    """A chain of revolute joints; `sin` and `cos` are those of the tool."""
 
     def __init__(self, loop: Loop, sin: Callable[[Any], Any], cos: Callable[[Any], Any]) -> None:
         self.n, self.sin, self.cos = loop.n, sin, cos
@@ -73,7 +73,7 @@ class Robot:
         self.inertia = [[float(v) for v in body.toDynamicParameters()] for body in list(loop.model.inertias)[1:]]
 
     def rotations(self, q: Sequence[Any]) -> list[list[Vector]]:
-        """Of each link in its parent."""
+        """Rotation of each link relative to its parent."""
         found = []
         for j in range(self.n):
             s, c, k = self.sin(q[j]), self.cos(q[j]), self.axis[j]

@@ -1,4 +1,4 @@
-"""(h): runs in SIMD batches, in vector registers, on one core, and how far that is from what the processor could do."""
+"""(h): runs in SIMD batches on one core, compared with the peak rate of the processor."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from tests.benchmarks.worker import Failed, measure
 
 GRAPHS = ("ur10_fast", "ur10_full")
 WIDTHS = {1: "", 2: "-mno-avx", 4: "-mno-avx512f", 8: ""}
-"""Runs at once, and the option that keeps a compiler to registers of that size."""
+"""Runs at once, and the compiler option that limits registers to that size."""
 
 SECONDS = 20.0
-"""Simulated time of each run: its figures are summed up in each of 2500 samples."""
+"""Simulated time of each run: figures are accumulated over 2500 samples."""
 
 SINE, TANH = 52, 46
-"""Operations of a sine with its cosine and of a tanh, as arithmetic.h has them."""
+"""Operations of a sine with its cosine and of a tanh, as in arithmetic.h."""
 
 PEAK = """
 typedef double real __attribute__((vector_size(64)));
@@ -38,11 +38,11 @@ void peak(long rounds, double *out) {
   for (int k = 0; k < 12; k++) for (int i = 0; i < 8; i++) out[2] += a[k][i];
 }
 """
-"""Multiply-adds of full vectors, twelve of them independent: nothing that a processor does with doubles is faster."""
+"""Multiply-adds of full vectors, twelve of them independent: the peak rate of a processor in double precision."""
 
 
 def timed(graph: str, width: int) -> dict[str, Any]:
-    """Simulated seconds a second on one core, operations in a simulated second, and most operations a second."""
+    """Simulated seconds per second on one core, operations per simulated second, and the peak rate per second."""
     import dmframe as dm
 
     if width == 1:
@@ -70,7 +70,7 @@ def timed(graph: str, width: int) -> dict[str, Any]:
 
 
 def operations(batch: Any) -> float:
-    """Floating-point operations in a simulated second: those of the formulas, a division or a root being one."""
+    """Floating-point operations per simulated second: those of the formulas, with one for a division or a root."""
     from dmframe.program import CONST, INPUT, OPERATIONS, read
 
     weights = {"sin": SINE / 2, "cos": SINE / 2, "tanh": TANH}  # a sine and its cosine are usually computed together
@@ -86,7 +86,7 @@ def operations(batch: Any) -> float:
 
 
 def peak() -> float:
-    """The most operations a second on this core, a multiply-add being two."""
+    """Peak rate on this core in operations per second; a multiply-add counts twice."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "peak.c").write_text(PEAK, encoding="utf-8")
         command = ["cc", "-O3", "-march=native", "-fPIC", "-shared", "peak.c", "-o", "peak.so"]
@@ -101,7 +101,7 @@ def peak() -> float:
 
 
 def section(limit: float, report: Callable[[str], None] = lambda text: None) -> Section:
-    """Of each graph a row for each width that the machine has."""
+    """For each graph a row for each vector width of the machine."""
     rows = list[Row]()
     for graph in GRAPHS:
         first = None

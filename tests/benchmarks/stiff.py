@@ -1,4 +1,4 @@
-"""(g): a stiff loop, by each method: its speed, and how far its joint angles are from those of cvodes at 1e-12."""
+"""(g): a stiff loop with each method: its speed, and the distance of its joint angles from cvodes at 1e-12."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from tests.benchmarks.table import Row, Section
 
 GRAPH = "panda_full"
 FRICTION = "arm.coulomb=[6, 6, 6, 6, 1.3, 1.3, 1.34]"
-"""With v_0 = 5 mrad/s it makes h |lambda| 46 at steps of 1 ms."""
+"""With v_0 = 5 mrad/s, h |lambda| is 46 for steps of 1 ms."""
 
 REPEATS = 3
 
 
 class Way(NamedTuple):
-    """A method with its step [s] or its tolerance, and the engine that can run it."""
+    """A method with its step [s] or its tolerance, and its engine."""
 
     name: str
     method: Any
@@ -44,7 +44,7 @@ WAYS = (
 
 
 def section(seconds: float = 4.0, progress: Callable[[str], None] = lambda text: None) -> Section:
-    """One loop, all methods, in one process."""
+    """One loop with all methods, in one process."""
     from dmframe.graph.graph import Graph
     from dmframe.simulate import Recording, Solver, simulate
 

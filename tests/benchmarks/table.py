@@ -1,4 +1,4 @@
-"""Rows of measurements, and the table that they make: text, Markdown or JSON."""
+"""Rows of measurements, and their table as text, Markdown or JSON."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Row:
     Attributes
     ----------
     part : the section's letter
-    name : what was measured
-    value, unit : None where there is no measurement
-    ratio : how many times better ours is; None for our own reference and for rows that do not count
-    status : only "ok" counts
-    agreement : how far it is from our result, or why there is none
+    name : the measured quantity
+    value, unit : None without a measurement
+    ratio : how many times better dmframe is; None for its own reference and for rows that are not compared
+    status : only "ok" is compared
+    agreement : distance from dmframe's result, or the reason why there is none
     """
 
     part: str
@@ -37,11 +37,11 @@ class Row:
 
     @property
     def key(self) -> str:
-        """Under which a baseline keeps its ratio."""
+        """Key of its ratio in a baseline."""
         return f"{self.part}/{self.name}"
 
     def cells(self) -> tuple[str, ...]:
-        """As the table shows it."""
+        """The row as shown in the table."""
         measured = "" if self.value is None else f"{figures(self.value)} {self.unit}".strip()
         ratio = "" if self.ratio is None else figures(self.ratio)
         agreement = self.agreement
@@ -60,8 +60,8 @@ class Section:
 
     Attributes
     ----------
-    title : what it measures, in what circumstances
-    against : what `ratio` compares
+    title : the measured quantity and the circumstances
+    against : the reference of `ratio`
     """
 
     part: str
@@ -85,12 +85,12 @@ class Report:
         return [row for section in self.sections for row in section.rows]
 
     def as_json(self) -> str:
-        """Everything, for other programs."""
+        """All rows as data for other programs."""
         return json.dumps(asdict(self), indent=2) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> Report:
-        """What `as_json` wrote."""
+        """The inverse of `as_json`."""
         data: dict[str, Any] = json.loads(text)
         sections = tuple(
             Section(s["part"], s["title"], s["against"], tuple(Row(**row) for row in s["rows"]), tuple(s["remarks"]))
@@ -99,7 +99,7 @@ class Report:
         return cls(data["command"], data["machine"], sections)
 
     def as_text(self) -> str:
-        """For a terminal; notes stand under each section."""
+        """For a terminal; notes follow each section."""
         lines = [f"{key}: {value}" for key, value in self.machine.items()]
         for section in self.sections:
             lines += ["", f"({section.part}) {section.title}", f"    ratio: {section.against}", ""]
@@ -126,12 +126,12 @@ class Report:
 
 
 def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Cells in columns as wide as their widest."""
+    """Cells in columns of the width of their widest entry."""
     kept = [list(row) for row in rows]
     widths = [max(len(row[k]) for row in kept) for k in range(len(kept[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in kept]
 
 
 def figures(value: float) -> str:
-    """Three figures, without an exponent where a reader would not want one."""
+    """Three significant digits, with an exponent only for very large or small numbers."""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"

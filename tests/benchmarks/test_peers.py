@@ -1,4 +1,4 @@
-"""The peers that need nothing but what dmframe needs: do they simulate our loop?"""
+"""Tools that need no further package simulate the same loop."""
 
 from __future__ import annotations
 

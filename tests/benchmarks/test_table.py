@@ -1,4 +1,4 @@
-"""The table, its baseline, and what counts in it; no timing."""
+"""The table, its baseline, and which rows are compared; without timing."""
 
 from __future__ import annotations
 

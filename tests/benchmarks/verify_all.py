@@ -1,7 +1,7 @@
-"""Every combination of generator and servo, on every robot: is it proved, how surely, and in what time?
+"""Every combination of generator and servo on every robot: verdict, error bound and time.
 
-``python tests/benchmarks/verify_all.py [ROBOT...]`` prints one line a configuration; status 1 where one is
-not proved. Times are CPU seconds: of reading and building the graph, and of proving it.
+``python tests/benchmarks/verify_all.py [ROBOT...]`` prints one line for each configuration; the status is 1 if one is
+not proved. Times are CPU seconds to read and build the graph, and to prove it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""One measurement in a process of its own: ``python -m tests.benchmarks.worker JOB ARGUMENTS-AS-JSON FILE``.
+"""One measurement in a separate process: ``python -m tests.benchmarks.worker JOB ARGUMENTS-AS-JSON FILE``.
 
-A peer that crashes, hangs or loads a library that another cannot stand does not take the table down, and each runs
-on one core. What a job returns is written to FILE with pickle's own replacement, NumPy's npz: numbers and one text.
+If a tool crashes, hangs or loads a library that conflicts with another one, the table still completes. Each process
+uses one core. The result of a job is written to FILE in NumPy's npz format: numbers and one text.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from tests.benchmarks.machine import environment
 
 
 class Failed(RuntimeError):
-    """The process failed, or ran past its time."""
+    """The process failed, or exceeded its time limit."""
 
 
 def measure(job: str, limit: float, *, cores: int = 1, **arguments: Any) -> dict[str, Any]:
-    """Run ``tests.benchmarks.MODULE:FUNCTION`` elsewhere; what it returns, arrays as arrays.
+    """Run ``tests.benchmarks.MODULE:FUNCTION`` in a separate process; return its result, arrays as arrays.
 
     Parameters
     ----------
-    job : "module:function" in this package; the function takes keywords and returns names to numbers or arrays
-    limit : s, after which it is ended
+    job : "module:function" in this package; a function of keywords that returns names with numbers or arrays
+    limit : s, after which the process is stopped
     """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "found.npz"
@@ -49,7 +49,7 @@ def measure(job: str, limit: float, *, cores: int = 1, **arguments: Any) -> dict
 
 
 def main(job: str, arguments: str, file: str, cores: str) -> None:
-    """In the other process."""
+    """The part that runs in the separate process."""
     if hasattr(os, "sched_setaffinity"):
         allowed = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, allowed[-int(cores) :] if int(cores) else allowed)

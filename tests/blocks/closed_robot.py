@@ -1,4 +1,4 @@
-"""An arm with friction behind a PID servo, in Pinocchio and SciPy, sharing no equation with dmframe."""
+"""An arm with friction and a PID servo in Pinocchio and SciPy, independent of dmframe's equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ V_0 = 0.005  # [rad/s] of Coulomb friction, tanh(dq / V_0)
 
 @dataclass
 class ClosedRobot:
-    """Pinocchio's model of revolute joints, the friction of each, and its servo's gains."""
+    """Pinocchio's model of revolute joints, the friction of each joint, and the gains of its servo."""
 
     model: Any
     viscous: Array
@@ -30,7 +30,7 @@ class ClosedRobot:
         self.data = self.model.createData()
 
     def regressor(self, q: Array, dq: Array, v: Array, a: Array) -> Array:
-        """Of M a + C(q, dq) v + g, the products of two velocities polarised, and of friction."""
+        """M a + C(q, dq) v + g, with polarised products of two velocities, plus friction."""
 
         def Y(dq: Array, ddq: Array) -> Array:
             return np.array(pin.computeJointTorqueRegressor(self.model, self.data, q, dq, ddq))
@@ -40,12 +40,12 @@ class ClosedRobot:
         return np.hstack([inertial, np.diag(v), np.diag(np.tanh(v / V_0))])
 
     def held(self, q: Array) -> Array:
-        """At rest: joints, velocities, commands, and the integral that bears the weight."""
+        """Equilibrium state: joints, velocities, commands, and the integral that compensates gravity."""
         gravity = np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
         return np.concatenate([q, np.zeros(len(q)), q, -gravity / self.K_I])
 
     def moved(self, plant: Array, dq_c: Array, period: float) -> Array:
-        """Servo and arm over one period, the command held."""
+        """Servo and arm over one period with a held command."""
 
         def rate(_: float, y: Array) -> Array:
             q, dq, q_c, i = y.reshape(4, -1)

@@ -1,4 +1,4 @@
-"""A block with another function in place of one that its methods call: a seeded fault, in a class of its own."""
+"""Seeded faults of blocks: a subclass in which a function that its methods call is replaced."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dmframe.graph.graph import Graph
 
 
 def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
-    """The class with `functions` under the names that its methods call, and those that compose its law."""
+    """The class with `functions` under the names that its methods call, including those that compose its law."""
     members: dict[str, Any] = {"__module__": block.__module__, "__doc__": "With a fault, and no law in prose."}
     for name in ("equations", "certificate", "_with_rates", "_with_terms", "_weighed"):
         method = getattr(block, name, None)
@@ -23,7 +23,7 @@ def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
 
 
 def verdict_with(graph: Graph, name: str, **functions: Callable[..., Any]) -> Verdict:
-    """Of the graph with a fault in one of its blocks."""
+    """The graph with a fault in one of its blocks."""
     block = graph.blocks[name]
     chosen = {key: value for key, value in block.model_dump().items() if value is not None}
     blocks = {**graph.blocks, name: faulty(type(block), **functions)(**chosen)}

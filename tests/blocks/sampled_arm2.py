@@ -1,4 +1,4 @@
-"""Two links under the sampled law at 40 ms: a graph that is proved in a moment."""
+"""Two links with the sampled law at 40 ms: a graph that is proved quickly."""
 
 from __future__ import annotations
 

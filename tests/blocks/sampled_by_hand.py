@@ -1,8 +1,8 @@
-"""The sampled law, its servo and its robot once more, in plain NumPy and Pinocchio, sharing no equation with dmframe.
+"""The sampled law, its servo and its robot in plain NumPy and Pinocchio, independent of dmframe's equations.
 
-Sample j goes from j T to (j + 1) T with the command u_j held; v_j is the mean velocity in it. Averaged over the sample
-the servo says y_j = u_j - v_j = psi_j' theta, row by row, with unknown constants theta = (k_P, k_I, constant, w a,
-w B, w D). An estimator learns theta from positions and commands alone, and a sample's command inverts the relation.
+Sample j lasts from j T to (j + 1) T with the held command u_j; v_j is the mean velocity in it. The averaged servo
+equation is y_j = u_j - v_j = psi_j' theta, row by row, with unknown constants theta = (k_P, k_I, constant, w a,
+w B, w D). An estimator computes theta from positions and commands, and the command of a sample inverts the relation.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Circle:
 
 @dataclass
 class Arm:
-    """A Pinocchio model of revolute joints with friction, and what is linear in its 10 n inertial parameters."""
+    """A Pinocchio model of revolute joints with friction, and the regressors of its 10 n inertial parameters."""
 
     model: Any
     tool: int
@@ -98,9 +98,9 @@ class Arm:
 
 @dataclass
 class Plant:
-    """Robot and the maker's servo, at rest at first, its integrator holding gravity; RK4 in steps of `step`.
+    """Robot and manufacturer's servo, at rest at first, its integrator compensating gravity; RK4 steps of `step`.
 
-    PID: u = -K_D (dq - dq_c) - K_P (q - q_c) - K_I int (q - q_c); PI: with K_I = 0, and q_c so that K_P holds gravity.
+    PID: u = -K_D (dq - dq_c) - K_P (q - q_c) - K_I int (q - q_c); PI: K_I = 0, and q_c with K_P compensates gravity.
     """
 
     arm: Arm
@@ -108,7 +108,7 @@ class Plant:
     K_D: Array
     K_P: Array
     K_I: Array
-    offset: float | Array = 0.0  # [rad] of the servo's q_c(0) from q(0), at which the law believes it
+    offset: float | Array = 0.0  # [rad] offset of the servo's q_c(0) from the q(0) that the law assumes
     step: float = 1e-3
     state: Array = field(init=False)
 
@@ -139,7 +139,7 @@ class Plant:
 
 @dataclass(frozen=True)
 class Known:
-    """What the law holds true at a tick: where all is now; the last sample's psi and y, and both filtered, h and g."""
+    """The law's data at a sampling instant: the present state; psi and y of the last sample, filtered, h and g."""
 
     q: Array
     c: Array  # own target position
@@ -154,20 +154,20 @@ class Known:
 
 @dataclass
 class SampledLaw:
-    """Estimator and command. `w_0` [rad/(N m s)], of all joints or each, is 1/(K K_D) to a factor of ten."""
+    """Estimator and command. `w_0` [rad/(N m s)], for all joints or each, is 1/(K K_D) within a factor of ten."""
 
     arm: Arm
     T: float
     w_0: float | Array = 1 / 800
     tau: float | None = 2.0  # [s] of the filter; None: unfiltered
     stored: int = 20  # W
-    average: int = 1  # L, rows of which the mean is learnt: several on fast clocks
-    stride: int = 1  # the ring keeps the means of every so many ticks
+    average: int = 1  # L, number of rows over which the mean is estimated: several with fast clocks
+    stride: int = 1  # the ring stores the mean of every so many samples
     nu: float = 1e-5
     delay: int = 0
     pid: bool = True
     gamma: float = 1.0
-    Lambda: float | None = None  # [1/s] of the error led back by the Jacobian's inverse, in place of gamma
+    Lambda: float | None = None  # [1/s] of the error fed back through the Jacobian's inverse, instead of gamma
     damping: float = 0.0  # [m] of the Jacobian's inverse
     u_max: float = 3.0
     margin: float = 0.05  # mu of the guard
@@ -177,7 +177,7 @@ class SampledLaw:
     guarded: int = 0
 
     def begin(self, q: Array) -> None:
-        """A standstill before the first tick, which the servo has held by its constant."""
+        """A standstill before the first sample, for which the constant of the servo compensates gravity."""
         n, zero = q.size, np.zeros_like(q)
         servo = 2 if self.pid else 1
         links, friction = 10 * n, 2
@@ -194,12 +194,12 @@ class SampledLaw:
         self.upper = columns([6.0, 4.0], 0 * w_0 + 1, 20 * w_0, 50 * w_0)
         self.theta = np.zeros_like(size)
         self.theta[:, :servo] = self.start[:servo]
-        self.ring: list[tuple[Array, Array, Array]] = []  # rows, commands' excess, and which joints learn, newest first
+        self.ring: list[tuple[Array, Array, Array]] = []  # rows, excess of commands, adapting joints
         self.recent: list[tuple[Array, Array, Array]] = []
         self.learnt = 0
         self.sent = [zero] * self.delay  # commands of the samples to come
         self.plan = (q, zero)  # the last command's planned middle and velocity
-        self.planned = [zero] * self.delay  # velocities meant by the commands sent
+        self.planned = [zero] * self.delay  # velocities for which the sent commands were computed
         psi = self._columns(zero, zero, self.arm.gravity(q), zero)
         h = np.zeros_like(psi)
         h[:, self.constant] = 1
@@ -219,7 +219,7 @@ class SampledLaw:
         return self._columns(e, at.z + self.T * e / 2, inertial, v)
 
     def after(self, at: Known, u: Array, q: Array) -> Known:
-        """The next tick's knowledge, at which the robot is at q."""
+        """The data at the next sampling instant, with the robot at q."""
         v, m = (q - at.q) / self.T, (q + at.q) / 2
         psi, y = self.row(at, u, v, (at.m, at.v)), u - v
         h, g = psi, y
@@ -231,7 +231,7 @@ class SampledLaw:
         return Known(q, at.c + self.T * u, z, m, v, psi, y, h, g)
 
     def excess(self, at: Known, u: Array, v: Array, before: tuple[Array, Array] | None) -> Array:
-        """u - v that theta predicts: F(v) - v. Filtered, the prediction starts from what the filters remember."""
+        """u - v predicted with theta: F(v) - v. Filtered, the prediction starts from the state of the filters."""
         found = np.sum(self.row(at, u, v, before) * self.theta, axis=1)
         if self.tau is None:
             return found
@@ -240,7 +240,7 @@ class SampledLaw:
         return np.array(found + at.y - keep * at.g - np.sum((at.psi - keep * at.h) * others, axis=1))
 
     def learn(self, h: Array, g: Array, free: Array) -> None:
-        """Projection onto the newest row, those stored from new to old, the newest again; not where u was clipped."""
+        """Projection onto the newest row, the stored rows from new to old, the newest again; none if u was clipped."""
         self.recent = [(h, g, free), *self.recent][: self.average]
         rows, excesses, frees = zip(*self.recent, strict=True)
         newest = (np.mean(rows, axis=0), np.mean(excesses, axis=0), np.all(frees, axis=0))
@@ -260,12 +260,12 @@ class SampledLaw:
         return np.column_stack(columns) / self.T
 
     def slope(self) -> Array:
-        """How much u in e takes off F(v_des), 1 + T k_P / 2 + T^2 k_I / 4."""
+        """Sensitivity of e to u in F(v_des), 1 + T k_P / 2 + T^2 k_I / 4."""
         T = self.T
         return np.array(1 + T * self.theta[:, 0] / 2 + (T * T * self.theta[:, 1] / 4 if self.pid else 0))
 
     def predict(self, at: Known, u: Array, v: Array) -> Array:
-        """The mean velocity under a command given that was meant for v: F(v) = u in four damped Newton steps."""
+        """The mean velocity for a command that was computed for v: F(v) = u by four damped Newton steps."""
         S = self.inertia(at.q)
         for _ in range(4):
             wrong = u - v - self.excess(at, u, v, (at.m, at.v))
@@ -274,7 +274,7 @@ class SampledLaw:
         return v
 
     def goal(self, q: Array, x_d: Array, next_x_d: Array) -> Array:
-        """Mean velocity that leads to the path's next point but for what is left of the error."""
+        """Mean velocity that reaches the path's next point, except for the remaining error."""
         T, v, J = self.T, np.zeros_like(q), self.arm.jacobian(q)
         error = self.arm.position(q) - x_d
         target = next_x_d + error - T * (self.gamma * J @ J.T @ error if self.Lambda is None else self.Lambda * error)
@@ -285,7 +285,7 @@ class SampledLaw:
         return v
 
     def command(self, at: Known, v: Array) -> Array:
-        """u with F(v) = u; momentum from plan to plan, left out where the estimated inertia is not safe."""
+        """u with F(v) = u; momentum differences between plans are omitted if the estimated inertia is not safe."""
         S = self.inertia(at.q)
         safe = np.linalg.eigvalsh((S + S.T) / 2)[0] >= -0.5 + self.margin and np.linalg.norm(S) <= 4
         self.guarded += not safe
@@ -294,7 +294,7 @@ class SampledLaw:
         return np.clip(u, -self.u_max, self.u_max)
 
     def tick(self, k: int, q: Array, path: Circle) -> Array:
-        """The command of sample k, computed `delay` samples before: measured, learnt, looked ahead, planned."""
+        """The command of sample k, computed `delay` samples before: measure, estimate, predict, plan."""
         if k > 0:
             u = self.sent.pop(0)
             self.planned.pop(0)
@@ -312,10 +312,10 @@ class SampledLaw:
 
 @dataclass
 class LeastSquaresLaw(SampledLaw):
-    """theta minimises (x - theta)' W (x - theta) + (g - h' x)^2 / nu; W is what was minimised, partly forgotten.
+    """theta minimises (x - theta)' W (x - theta) + (g - h' x)^2 / nu; W is the weight of the past, partly forgotten.
 
-    An element that leaves its box takes the others along to the minimum on its face; those that are outside yet are
-    cut, and nothing is remembered.
+    An element that leaves its box changes the others to the minimum on its face; elements that are still outside are
+    clipped, and the weight of the past is reset.
     """
 
     retention: float = 0.98
@@ -354,7 +354,7 @@ class LeastSquaresLaw(SampledLaw):
 
 @dataclass
 class Observer(SampledLaw):
-    """The special case of one column, the constant, and nu = 0: the excess of the last sample is that of the next."""
+    """Special case of one column, the constant, with nu = 0: the excess of the last sample is that of the next."""
 
     def learn(self, h: Array, g: Array, free: Array) -> None:
         self.theta = np.where(free, self.known.y, self.theta[:, 0])[:, None]
@@ -372,7 +372,7 @@ class Observer(SampledLaw):
 
 @dataclass
 class Kinematic(SampledLaw):
-    """The baseline: J^-1 dx_d - gamma J' (x - x_d), commanded as it is and a delay ignored."""
+    """The baseline: J^-1 dx_d - gamma J' (x - x_d), commanded directly and without delay compensation."""
 
     def tick(self, k: int, q: Array, path: Circle) -> Array:
         J, error = self.arm.jacobian(q), self.arm.position(q) - path(k * self.T)
@@ -382,7 +382,7 @@ class Kinematic(SampledLaw):
 
 
 def closed_loop(law: SampledLaw, plant: Plant, path: Circle, ticks: int, encoder: float = 0.0) -> dict[str, Array]:
-    """What is seen at every tick: q as it is, x - x_d, u as applied from then on, v_des and theta as just learnt."""
+    """Signals at every sampling instant: q, x - x_d, the u applied from then on, v_des, and the new theta."""
     seen: dict[str, list[Array]] = {name: [] for name in ("q", "error", "u", "v_des", "theta")}
     q = plant.q
     for k in range(ticks):

@@ -1,4 +1,4 @@
-"""Channel models between controller and robot, against NumPy, SciPy and Pinocchio; and the notices of a run."""
+"""Channel models between controller and robot, compared with NumPy, SciPy and Pinocchio; and the notices of a run."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ PLAIN = {
 
 
 def graph(**blocks: Mapping[str, Any]) -> dm.Graph:
-    """The plain graph with more blocks, or others."""
+    """The plain graph with additional or other blocks."""
     held: Any = PLAIN["blocks"]
     return dm.load({**PLAIN, "blocks": {**held, **blocks}}, name="between")
 
 
 def run(**blocks: Mapping[str, Any]) -> dict[str, Array]:
-    """What a run of it recorded, the matrices left out."""
+    """The recorded signals of a run, without matrices."""
     found = graph(**blocks).run(engine="interpreted").recording
     assert found.divergence is None
     return {**found.states, **found.outputs}
@@ -66,7 +66,7 @@ def filtered(differences: Array, time_constant: float) -> Array:
 
 
 def over(q: Array, time: float) -> Array:
-    """(q - q(t - time)) / time, with Pade's first approximation of the delay, by SciPy's response to straight lines."""
+    """(q - q(t - time)) / time, with the first Padé approximation of the delay, from SciPy's response to ramps."""
     times = T * np.arange(len(q))
     lag = np.column_stack([scipy.signal.lsim(([1.0], [time / 2, 1.0]), row - row[0], times)[1] + row[0] for row in q.T])
     return (q - (2 * lag - q)) / time
@@ -95,7 +95,7 @@ def test_a_manufacturers_differences_are_over_its_own_window() -> None:
     found, window = seen_by(window=0.008), 0.008
     wanted, twice = over(found["arm.q"], window), over(found["arm.q"], 2 * window)
     off, other = (np.max(np.abs(found["encoder.dq_m"] - each)[10:]) for each in (wanted, twice))
-    assert off < 2 * STEP / window < other  # two roundings, each of half a step, and lines between samples
+    assert off < 2 * STEP / window < other  # two roundings of half a step, linear interpolation between samples
     late = np.interp(T * np.arange(len(wanted)) - window / 2, T * np.arange(len(wanted)), found["arm.dq"][:, 0])
     assert np.max(np.abs(wanted[10:, 0] - late[10:])) < 0.05 * np.max(np.abs(late))
 
@@ -137,7 +137,7 @@ def test_controllers_read_the_encoder_even_where_a_wire_states_the_arm_and_all_o
 
 
 def delayed(sent: Array, samples: int, share: float = 0.0) -> Array:
-    """Late by whole samples and a share of one, zero before."""
+    """Delayed by whole samples and a fraction of one, zero before."""
     early = np.vstack([np.zeros((samples + 1, sent.shape[1])), sent])
     return (1 - share) * early[1 : len(sent) + 1] + share * early[: len(sent)]
 
@@ -149,7 +149,7 @@ def test_a_command_arrives_whole_samples_late(samples: int) -> None:
     assert np.array_equal(arrived, delayed(sent, samples))
     assert not np.array_equal(arrived, delayed(sent, samples + 1))
     taken = found["arm.q"][0] + T * np.vstack([np.zeros(2), np.cumsum(arrived, axis=0)[:-1]])
-    np.testing.assert_allclose(found["servo.q_c"], taken, atol=1e-12)  # the servo integrates what arrives
+    np.testing.assert_allclose(found["servo.q_c"], taken, atol=1e-12)  # the servo integrates the delayed command
 
 
 def test_a_share_of_a_sample_is_exact_at_samples_and_between_them_within_its_bound() -> None:
@@ -183,7 +183,7 @@ def test_late_and_lost_commands_come_as_given_by_the_seed() -> None:
         last = last if lost else before[k] if late else due[k]
         events += [late, lost]
         assert np.array_equal(arrived[k], last), k
-    assert 25 < events[0] < 65  # of 151, 45 and 15 are to be expected
+    assert 25 < events[0] < 65  # of 151 samples, 45 and 15 are expected
     assert 5 < events[1] < 27
     never, _ = chances({"samples": 2, "late": 0.0, "lost": 0.0}, 151)
     assert np.array_equal(never["way.dq_c_late"], delayed(never["command.dq_c"], 2))
@@ -261,7 +261,7 @@ def test_a_ramp_is_a_filter_near_the_command_and_a_straight_line_far_from_it() -
     found = run(ramp={"type": "command_ramp", "acceleration": [5, 6]})
     slope = np.diff(found["ramp.dq_ramp"], axis=0) / T
     assert np.all(np.abs(slope) <= np.array([5, 6]) * (1 + 1e-9))
-    np.testing.assert_allclose(np.abs(slope[:3]), [[5, 6]] * 3)  # from rest to a command that is far
+    np.testing.assert_allclose(np.abs(slope[:3]), [[5, 6]] * 3)  # from rest to a distant command
 
 
 def test_a_motors_torque_ends_at_its_limit_and_friction_is_compensated_before_it() -> None:
@@ -289,7 +289,7 @@ def test_joints_stick_at_slow_motion_and_rub_more_in_one_direction() -> None:
     fast = np.abs(found["arm.dq"]) > 0.15
     assert fast.any(axis=0).all()
     np.testing.assert_allclose(taken[fast], np.broadcast_to(uneven, taken.shape)[fast], atol=1e-4)
-    near = (np.abs(found["arm.dq"]) > 0.02) & ~fast  # phi is one there
+    near = (np.abs(found["arm.dq"]) > 0.02) & ~fast  # phi is one at that velocity
     assert near.sum() > 5
     wanted = sticking * slow * np.sign(found["arm.dq"]) + uneven
     np.testing.assert_allclose(taken[near], wanted[near], atol=1e-3)
@@ -321,7 +321,7 @@ def test_a_joint_without_a_stated_range_has_none() -> None:
 
 
 def loaded(mass: float) -> Any:
-    """arm2 of Pinocchio with a point mass at its tool."""
+    """arm2 in Pinocchio with a point mass at its tool."""
     chain = load_robot("arm2")
     model = chain.model.copy()
     tool = model.frames[chain.model_tool]
@@ -337,7 +337,7 @@ def test_a_load_moves_with_the_robot_as_in_pinocchio(t: float, mass: float) -> N
     found = block.evaluate({"u": u, "t": t}, {"q": q, "dq": dq}, robot="arm2").outputs
     model, data = loaded(mass)
     bare, own = loaded(0.0)
-    kept = 0.4 * pin.computeGeneralizedGravity(bare, own, q)  # the maker knows the bare robot
+    kept = 0.4 * pin.computeGeneralizedGravity(bare, own, q)  # the manufacturer's model has no load
     ddq = pin.aba(model, data, q, dq, np.array([2.0, 3.0]) * u + kept)
     np.testing.assert_allclose(found["ddq"], ddq, rtol=1e-9)
     np.testing.assert_allclose(found["g"], pin.computeGeneralizedGravity(model, data, q) - kept, rtol=1e-9)
@@ -400,7 +400,7 @@ def test_both_engines_and_a_batch_agree_with_all_of_it() -> None:
     made = graph(**EVERYTHING)
     one, two = (made.run(engine=engine).recording for engine in ("interpreted", "compiled"))
     for label in ("arm.q", "encoder.dq_m", "way.dq_c_late", "drive.tau_excess", "stops.beyond"):
-        np.testing.assert_allclose(one[label], two[label], atol=2e-6, err_msg=label)  # a rounding may tip a step
+        np.testing.assert_allclose(one[label], two[label], atol=2e-6, err_msg=label)  # rounding may change a step
     values = {"servo.K_P": [[60, 30], [80, 40]]}
     swept = dm.sweep(made, values)
     single = [made.set({"servo.K_P": each}).run().error for each in values["servo.K_P"]]

@@ -1,4 +1,4 @@
-"""A fixed camera without calibration: its image, the law, the identity of its proof, and the packaged loop."""
+"""A fixed uncalibrated camera: its image, the law, the identity of its proof, and the packaged loop."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GOAL = np.array([0.01, 0.03])
 
 
 def seen(x: Array) -> tuple[Array, float]:
-    """The image and the depth, by one 3 x 4 projection matrix."""
+    """The image and the depth by one 3 x 4 projection matrix."""
     rows = np.stack([RIGHT, DOWN, AHEAD])
     u, v, z = np.column_stack([rows, -rows @ POSITION]) @ [*x, 1]
     return np.array([u / z, v / z]), z
@@ -76,7 +76,7 @@ def test_the_laws_are_those_of_the_page() -> None:
 
 
 def test_along_a_swing_of_pinocchios_robot_the_weighed_error_moves_as_stated_by_the_regressor() -> None:
-    """The UR10 falls from rest; half of z |e|^2 by central differences, against e' Y_c a_c."""
+    """The UR10 falls from rest; half of z |e|^2 by central differences, compared with e' Y_c a_c."""
     model = dm.load("ur10_camera").diagram.robot.model
     data, tool = model.createData(), model.getFrameId("ee_link")
 
@@ -194,13 +194,13 @@ class ByHand:
         self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
 
     def image(self, q: Array) -> tuple[Array, Array]:
-        """Of the tool: where it is seen, and the Jacobian of where it is."""
+        """Image of the tool, and the Jacobian of its position."""
         J = pin.computeFrameJacobian(self.model, self.data, q, self.tool, pin.LOCAL_WORLD_ALIGNED)[:3]
         pin.framesForwardKinematics(self.model, self.data, q)
         return seen(self.data.oMf[self.tool].translation)[0], J
 
     def run(self, q: Array, ticks: int) -> dict[str, Array]:
-        """The signals, sample by sample; Euler for the controller's states."""
+        """The signals at each sample; Euler steps for the controller's states."""
         plant = self.robot.held(q)
         q_tie, z, y, w, w_P, w_I = q, np.zeros(3), np.zeros(3), np.zeros(3), np.full(3, 2.0), np.full(3, 0.7)
         a, a_c = np.zeros(36), GUESS

@@ -1,4 +1,4 @@
-"""Each certificate in floating point: dV/dt along the closed loop against what the blocks claim, at random points."""
+"""Each certificate in floating point: dV/dt along the closed loop compared with the blocks' claims at random points."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def build(robot: str, task: str, servo: str, folder: Path) -> Diagram:
 
 
 def certificates(diagram: Diagram) -> dict[str, Certificate]:
-    """Of all blocks; the truths that one states are handed to the others."""
+    """The certificates of all blocks; the true values of one are passed to the others."""
     found, known = dict[str, Certificate](), dict[str, Any]()
     for name in sorted(diagram.blocks, key=lambda name: name not in ("arm", "model")):
         seen = view(diagram, name, known)
@@ -75,7 +75,7 @@ def certificates(diagram: Diagram) -> dict[str, Certificate]:
 
 
 def residual(diagram: Diagram, flipped: str = "", kappa: float = KAPPA) -> tuple[np.ndarray, np.ndarray]:
-    """dV/dt + dissipation - consumption and the size of its terms, at random states, gains and trajectories."""
+    """dV/dt + dissipation - cross terms, and the size of its terms, at random states, gains and trajectories."""
     loop = diagram.loop
     V, claimed, supplied = ca.SX(0), ca.SX(0), ca.SX(0)
     for said in certificates(diagram).values():

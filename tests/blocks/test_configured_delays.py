@@ -1,4 +1,4 @@
-"""A delay that a sampled law is given, against the memories of the plant between its commands and what it measures."""
+"""The configured delay of a sampled law, compared with the plant's states between its commands and measurements."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_command_that_is_none_of_the_blocks_own_is_left_to_an_assumption(monke
 
 
 class Changed(AbstractBlock):
-    """A plant's signal that is passed on as another."""
+    """Outputs a signal of the plant as another signal."""
 
     side = Side.PLANT
     inputs = (Input("dq_c", "n", "rad/s"),)

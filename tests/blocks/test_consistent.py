@@ -1,4 +1,4 @@
-"""Estimated bodies that stay bodies: the law, its step on a clock, runs, and what is proved of it."""
+"""Physically consistent estimates: the law, its step in discrete time, runs, and the proof."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dmframe.robot.pseudo_inertia import dual, natural_gain, parameters_of, pseu
 from dmframe_blocks._bodies import moved, natural, weight
 
 BODY = [3, 0.4, -0.3, 0.5, 0.9, 0.02, 1.0, -0.03, 0.01, 0.8]
-"""A body that there can be, with room on all sides."""
+"""Parameters of a body with a margin to all constraints."""
 
 
 def matrix(a: object) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_a_step_on_a_clock_is_a_congruence_that_leaves_no_body_behind(T: float) 
     np.testing.assert_allclose(stepped, A @ P @ A.T, rtol=1e-9, atol=1e-12)
     assert np.linalg.eigvalsh(stepped)[0] > 0
     if T == 3.0:
-        assert np.linalg.eigvalsh(matrix(a + T * rate))[0] < 0  # a plain step would leave it
+        assert np.linalg.eigvalsh(matrix(a + T * rate))[0] < 0  # a step without projection would leave it
 
 
 def test_the_least_eigenvalue_stays_above_zero_where_the_gradients_does_not() -> None:
@@ -116,7 +116,7 @@ def test_with_a_residual_it_is_assumed_again() -> None:
 
 
 def part(rows: np.ndarray, nominal: np.ndarray) -> float:
-    """The least eigenvalue of P0^-1 P over all of a run's estimated links."""
+    """The least eigenvalue of P0^-1 P over all estimated links of a run."""
     found = [
         np.linalg.eigvals(np.linalg.solve(matrix(body), np.array([matrix(row) for row in rows[:, own]]))).real.min()
         for k, body in enumerate(nominal.reshape(-1, 10))
@@ -146,7 +146,7 @@ def test_with_a_floor_no_estimated_body_is_ever_less_of_its_nominal_one() -> Non
     graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.01})
     run = graph.run(judge=False)  # all of it
     estimates = run.data["dynamics.a_d_hat"].values[::5]
-    assert part(estimates, half_of_the_model(graph)) == pytest.approx(0.01, abs=1e-12)  # reached, and never passed
+    assert part(estimates, half_of_the_model(graph)) == pytest.approx(0.01, abs=1e-12)  # reached, but not crossed
     assert least(estimates, 3) > 0.005
     error = np.linalg.norm(run.data["arm.x"].values - run.data["path.x_d"].values, axis=1)
     assert np.sqrt(np.mean(error[-len(error) // 8 :] ** 2)) < 0.35e-3
@@ -174,7 +174,7 @@ def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_with_a_resid
     found = dm.load("torque_consistent_pi").set({"adaptation.floor": 0.1, "inverse.leak": 0.1}).verify()
     assert found.proved
     assert not [item.text for item in found.assumptions if "M_hat" in item.text]
-    # where V may rise, a box or a ball would bound the estimates; a cone has no end
+    # if V can increase, a box or a ball would bound the estimates; a cone is unbounded
     assert "adaptation.a_d_hat" in found.verdict.states.open
     said = {(item.signal, item.says) for item in found.verdict.statements}
     assert ("a_d_hat", "is made of bodies, each at its share of the nominal one or above") in said

@@ -1,4 +1,4 @@
-"""A tool against an elastic wall, and the admittance: against Pinocchio, against the theory of springs, and proved."""
+"""A tool against an elastic wall, and the admittance: compared with Pinocchio and with spring theory, and proved."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ B, D = np.array([19.7, 16.8, 8.9]), np.array([13.6, 14.9, 5.8])
 ROTORS = np.array([2.5, 4.7, 1.2])  # [kg m^2]
 FACE, STIFFNESS, DAMPING = 0.84, 1000.0, 500.0  # the wall y = 0.84 m, N/m, N s/m^2
 K_A = 400.0  # [N/m]
-PRESSED = 0.05  # [m] from the wall's face to the goal in it
+PRESSED = 0.05  # [m] from the wall's surface to the goal behind it
 
 
 @cache
@@ -81,7 +81,7 @@ def ticks(run: Recording, start: float, end: float) -> slice:
 
 
 def simulated(run: Recording, start: float, end: float, force: Callable[[Array, Array], Array]) -> Array:
-    """The joints at `end` by SciPy, from the run's state at `start` and with its commands."""
+    """The joints at `end` by SciPy, from the run's state at `start` with its commands."""
     part, data = ticks(run, start, end), tool()[0]
     y = np.concatenate([run[name][part.start] for name in ("arm.q", "arm.dq", "servo.q_c", "servo.i")])
     for k in range(part.start, part.stop):
@@ -100,7 +100,7 @@ def simulated(run: Recording, start: float, end: float, force: Callable[[Array, 
 
 def test_the_robot_in_contact_moves_as_pinocchio_and_scipy_move_it() -> None:
     run = ran(4.0)
-    start, end = 1.2, 2.0  # it touches the wall in between
+    start, end = 1.2, 2.0  # contact begins in between
     depth = run["wall.depth"][ticks(run, start, end)].ravel()
     assert depth[0] == 0 < depth[-1]
     found = run["arm.q"][ticks(run, start, end).stop]
@@ -123,7 +123,7 @@ def test_at_every_instant_the_power_that_the_robot_stores_is_what_motors_frictio
         lost -= 0.008 * f @ J @ dq
     assert np.abs(given).max() < 1e-8
     spring = 0.5 * STIFFNESS * float(run["wall.depth"][-1].item()) ** 2
-    assert 0 < spring < lost < 1.2 * spring  # what it took, less what its spring holds, went into its damper
+    assert 0 < spring < lost < 1.2 * spring  # its input less the energy of its spring was dissipated
 
 
 @pytest.mark.parametrize(("stiffness", "K_a"), [(1000, 400), (300, 800), (20000, 400)])
@@ -154,7 +154,7 @@ def test_behind_an_encoder_it_is_judged_by_the_same_goal_and_the_tools_true_plac
 
 
 def test_a_stiff_wall_requires_a_damping_of_more_than_its_stiffness_times_the_period() -> None:
-    """Of the sampled mass on a spring: D_a > T k; with T k = 800 N s/m."""
+    """Stability of the sampled mass on a spring: D_a > T k; with T k = 800 N s/m."""
     bounces, rests = (ran(20.0, "wall.stiffness=1e5", f"compliance.D_a={D_a}") for D_a in (250, 1200))
     spread = [float(np.ptp(run["wall.f_ext"][ticks(run, 6, 8), 1])) for run in (bounces, rests)]
     assert spread[0] > 1.0
@@ -201,7 +201,7 @@ def test_it_is_proved_and_what_the_environment_has_to_do_is_assumed(name: str) -
 
 
 def without(**methods: Any) -> Verdict:
-    """The proof with other methods of the admittance."""
+    """The proof with methods of the admittance replaced."""
     graph = small()
     given = {"__module__": Admittance.__module__, "__doc__": "With a fault, and no law in prose.", **methods}
     kind = type(Admittance)("Admittance", (Admittance,), given)
@@ -226,7 +226,7 @@ def test_a_force_that_is_not_cancelled_is_refuted(factor: float) -> None:
 def test_a_force_that_does_not_act_on_the_robot_as_stated_is_refuted() -> None:
     graph = small()
     verdict = verdict_with(graph, "wall", positive=lambda value: value)
-    assert verdict.outcome == "proved"  # a wall that pulls too is another environment, and V does not weigh it
+    assert verdict.outcome == "proved"  # a wall that also pulls is another environment, which V does not cover
     sensor = {**graph.blocks, "sensor": ForceSensor(offset=1)}
     assert verify(Diagram.build(sensor, graph.file.wires, graph.robot)).outcome == "not_applicable"
 
@@ -275,7 +275,7 @@ def test_a_normal_without_a_direction_is_refused() -> None:
 
 def test_a_sensor_with_an_offset_presses_less_by_it() -> None:
     plain, off = (ran(20.0, *more) for more in ((), ("blocks.sensor={type: force_sensor, offset: [0, -7, 0]}",)))
-    at = ticks(plain, 7.9, 8).start  # it stands still in the wall
+    at = ticks(plain, 7.9, 8).start  # it rests inside the wall
     # K_a x_a = f + offset, f = -k (depth - |x_a|): less force by offset k/(k + K_a)
     less = 7 * STIFFNESS / (STIFFNESS + K_A)
     assert off["wall.f_ext"][at, 1] - plain["wall.f_ext"][at, 1] == pytest.approx(less, rel=0.05)

@@ -1,4 +1,4 @@
-"""The fitted delay: right behind every line and in noise, and refused where the data do not determine it."""
+"""The fitted delay: correct for every delay line and with noise, and refused if the data do not determine it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dmframe.simulate import Recording, simulate
 
 @functools.cache
 def run(name: str, clock: str, line: Line, *, probe: bool = True, seed: int = 1) -> Recording:
-    """A packaged path, followed by the kinematic controller, its commands probing, for 3 s."""
+    """A packaged path with the kinematic controller, whose commands probe, for 3 s."""
     graph = Graph.read(name, [f"clock={clock}"])
     blocks, wires = {**graph.blocks, "line": line}, dict(graph.file.wires)
     if probe:
@@ -66,7 +66,7 @@ def test_a_delay_longer_than_the_blocks_support_is_refused() -> None:
 
 
 def test_half_a_sample_is_no_whole_number_of_samples() -> None:
-    """Of joints that follow at once; each command held for a sample, the answer half a sample later."""
+    """Joints without lag; each command held for a sample, the response half a sample later."""
     rng = np.random.default_rng(3)
     u = 0.2 + 0.01 * np.sign(rng.standard_normal((60, 2)))
     late = 0.5 * u + 0.5 * np.vstack([u[:1], u[:-1]])
@@ -117,7 +117,7 @@ def test_samples_that_are_no_numbers_are_refused() -> None:
 
 
 def test_joints_that_do_not_make_the_velocities_commanded_have_no_delay() -> None:
-    """Of motors without strength, of an encoder of one step, and where half of the commands never arrive."""
+    """Motors without strength, an encoder of one step, and a channel that loses half of the commands."""
     graph = dm.load("ur10_slow_probe")
     for name, values in (
         ("torque_limits", {"torque": 1e-9}),

@@ -1,4 +1,4 @@
-"""The probe of the delay: response against NumPy, delays that it finds, and the blocks that use it."""
+"""The delay probe: response compared with NumPy, identified delays, and the blocks that use them."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_after_a_trip_the_delay_is_longer_and_the_excitation_ends_beyond_the_lon
     assert float(after.outputs["tripped"]) == 1
     assert [float(after.next[name]) for name in ("identified", "since", "delay_least")] == [0, 0, 3]
     again = {"draw": drawn(1, 2), "since": 9.0, "correlated": [1.0, 0, 0, 0], "gathered": np.eye(4), "varied": 1.0}
-    found = block.evaluate(u, again | {"delay_least": 3}, robot="arm2").next  # the regression alone finds none
+    found = block.evaluate(u, again | {"delay_least": 3}, robot="arm2").next  # the regression by itself finds no delay
     assert [float(found[name]) for name in ("identified", "delay_hat")] == [1, 3]
     for least, excited in ((3, True), (4, False)):
         item = block.evaluate(u, again | {"delay_least": least}, robot="arm2")
@@ -97,7 +97,7 @@ def test_its_regression_is_that_of_numpy(settling: float) -> None:
 
 
 def test_a_jump_at_the_start_does_not_hide_the_delay() -> None:
-    """A ramp limits the acceleration until the path's velocity is reached: that looks like a lag of many samples."""
+    """A ramp limits the acceleration until the path's velocity is reached, which resembles a lag of many samples."""
     delays = []
     for settling in (0.0, 1.0):
         block = KIND(delay_up_to=6, taps=8, settling=settling)
@@ -116,7 +116,7 @@ def test_a_jump_at_the_start_does_not_hide_the_delay() -> None:
 
 
 def test_in_doubt_the_delay_is_the_longer_one() -> None:
-    """38 % of the response in the first sample, measured with noise: without confidence both delays occur."""
+    """38 % of the response in the first sample, measured with noise: without confidence limits both delays occur."""
     found: dict[float, set[float]] = {0.0: set(), 3.0: set()}
     for confidence, seen in found.items():
         block = KIND(delay_up_to=6, taps=8, settling=0.0, lasting=2.0, confidence=confidence)
@@ -201,4 +201,4 @@ def test_it_trips_where_the_period_becomes_another(factor: float, trips: bool) -
         states = dict(item.next)
         tripped.append(float(item.outputs["tripped"]))
     assert bool(sum(tripped)) is trips
-    assert float(states["delay_least"]) == 0.0  # the delay in samples need not be another
+    assert float(states["delay_least"]) == 0.0  # the delay in samples may be equal

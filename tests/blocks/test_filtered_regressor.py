@@ -1,4 +1,4 @@
-"""Filtered regressors against Pinocchio's, filtered by SciPy; and what is proved and seen with them."""
+"""Filtered regressors compared with Pinocchio's, filtered by SciPy; and proofs and runs with them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def inertial_regressor(chain: SerialChain, q: np.ndarray, dq: np.ndarray, ddq: n
 def filtered(rows: np.ndarray) -> np.ndarray:
     """RATE / (s + RATE) from rest, by the trapezoidal rule."""
     a = RATE * STEP / 2
-    at_rest = -a / (1 + a) * rows[:1]  # so that the first output is zero
+    at_rest = -a / (1 + a) * rows[:1]  # so the first output is zero
     return np.asarray(scipy.signal.lfilter([a, a], [1 + a, a - 1], rows, axis=0, zi=at_rest)[0])
 
 

@@ -1,4 +1,4 @@
-"""Bounded-gain forgetting of the kinematics: what is proved, what a fault makes of it, and what it is for, in runs."""
+"""Bounded-gain forgetting of the kinematics: proofs, seeded faults, and its benefit in runs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def run_of(seconds: float, *overrides: str) -> Recording:
 
 
 def tool_error(run: Recording) -> np.ndarray:
-    """How far the estimated tool is from the true one, at each sample [m]."""
+    """Distance of the estimated tool from the true one at each sample [m]."""
     estimate = run["geometry.a_k_hat"]
     return np.asarray(np.linalg.norm(estimate - (estimate[0] - 0.03), axis=1))
 
@@ -119,7 +119,7 @@ def test_a_fault_in_the_law_is_refuted(method: str, fault: Any, monkeypatch: pyt
 def test_a_memory_that_does_not_move_as_its_term_states_is_refuted_though_dv_dt_would_not_notice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """G' = 0 with G = 0 for ever: V and dV/dt are true without it, and G >= 0 would hold for another reason."""
+    """G' = 0 with G = 0 always: V and dV/dt are correct without it, and G >= 0 would hold for another reason."""
     right = AdaptiveKinematics.certificate
 
     def lying(self: Any, *signals: Any) -> Certificate:
@@ -143,7 +143,7 @@ def test_a_memory_that_does_not_move_as_its_term_states_is_refuted_though_dv_dt_
 
 def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
     right = AdaptiveKinematics.fits
-    assert not check_docstring(AdaptiveKinematics)  # read before the fault, which it would report, is seeded
+    assert not check_docstring(AdaptiveKinematics)  # read before the fault is seeded, which reading would report
 
     def unlearning(self: Any, *signals: Any) -> dict[str, Fit]:
         return {name: replace(fit, by=-fit.by) for name, fit in right(self, *signals).items()}

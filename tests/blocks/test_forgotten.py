@@ -1,4 +1,4 @@
-"""A value that is wrong, lacking or without effect in a task of industry is reported, not computed with."""
+"""In industrial tasks, a value that is wrong, missing or without effect is reported before a computation."""
 
 from __future__ import annotations
 

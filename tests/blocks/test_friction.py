@@ -26,7 +26,7 @@ def proof(name: str, *overrides: str) -> Verdict:
 
 
 def test_left_out_the_friction_is_that_of_the_papers_structure() -> None:
-    """Eq. (5) has B dq_ref, and nothing beyond."""
+    """Eq. (5) contains B dq_ref and no other friction."""
     plain = Graph.read("arm2_joint")
     del plain.data["blocks"]["model"]["friction"]
     blocks = {**plain.blocks, "model": type(plain.blocks["model"])()}
@@ -51,7 +51,7 @@ def test_a_friction_without_a_column_is_blamed_by_name(name: str, overrides: lis
     assert verdict.outcome == "refuted"
     for text in blamed:
         assert text in verdict.reason
-    assert verdict.reason.count("the plant has") == len(blamed) + ("torque" in name)  # there, two blocks share a_d
+    assert verdict.reason.count("the plant has") == len(blamed) + ("torque" in name)  # with it, two blocks share a_d
 
 
 @pytest.mark.parametrize(

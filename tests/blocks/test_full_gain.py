@@ -1,4 +1,4 @@
-"""Adaptation gains that are full matrices: what is proved and refuted with them, and how they run."""
+"""Adaptation gains that are full matrices: proofs, refutations and runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dmframe.simulate import simulate, simulate_many
 
 
 def full(n: int, seed: int = 0) -> str:
-    """A matrix as a graph file writes it; of more than 22 rows in blocks of 2: a proof's time goes with elements."""
+    """A matrix as in a graph file; above 22 rows in blocks of 2, since the time of a proof grows with elements."""
     root = np.random.default_rng(seed).normal(size=(n, n))
     if n > 22:
         root *= np.kron(np.eye(n // 2), np.ones((2, 2)))
@@ -39,10 +39,10 @@ def proof(name: str, *overrides: str) -> Verdict:
 
 
 UNBOXED = "dynamics.a_d_hat_box=null"
-"""A full gain goes with no box, and `arm2_joint` has one."""
+"""A full gain excludes a box, and `arm2_joint` has one."""
 
 SMALL = "pendulum"
-"""Where a law is changed, one joint will do: a proof's time goes with the elements of the gain, 66 for 253."""
+"""One joint suffices for a changed law: the time of a proof grows with the elements of the gain, 66 instead of 253."""
 
 ADAPTING = {
     SMALL: {"dynamics.Gamma": 11},
@@ -107,7 +107,7 @@ def test_a_copy_without_a_fault_is_proved() -> None:
 
 
 def test_the_weight_of_v_is_decided_by_its_exact_pivots() -> None:
-    """A gain whose symbols take values that the reader would have refused."""
+    """A gain whose symbols have values that the reader would refuse."""
     graph = Graph.read(SMALL, with_full(SMALL))
     diagram = graph.diagram
     (gain,) = (item for item in diagram.loop.parameters if item.label == "dynamics.Gamma")
@@ -177,7 +177,7 @@ def test_on_the_rim_of_an_ellipsoid_no_correction_raises_the_storage_of_a_full_g
         assert (state - center) / radius**2 @ (nominal + correction) <= 1e-9
         wrong = numbers(Ball(column(center), column(radius), column(np.ones(3))).law(column(state), column(nominal)))
         raised += (state - truth) @ np.linalg.solve(gain, wrong) > 1e-6
-    assert raised  # the normal of the coordinates would not do
+    assert raised  # the normal of the coordinates would be wrong
 
 
 def test_a_box_is_normal_in_the_metric_of_a_diagonal_alone() -> None:
@@ -319,7 +319,7 @@ def test_a_prior_is_proved() -> None:
 
 
 def learnt(*overrides: str) -> tuple[float, float]:
-    """The tracking error of the last eighth, and how wrong the learnt torques are elsewhere, in parts of all."""
+    """The tracking error of the last eighth, and the relative error of the estimated torques at other poses."""
     graph = Graph.read("arm2_joint", ["model.nominal=0.7", UNBOXED, *overrides])
     diagram = graph.diagram
     run = simulate(diagram, 20.0, clock=graph.file.clock, start=graph.start)
@@ -337,7 +337,7 @@ def learnt(*overrides: str) -> tuple[float, float]:
 
 
 def test_with_a_prior_what_is_estimated_on_one_path_is_less_wrong_on_others() -> None:
-    """From a model that is 30 % too light; each prior also tracks better than the scalar next to it."""
+    """From a model that is 30 % too light; each prior also tracks better than the scalar gain in the same row."""
     for scale, scalar in ((1, 10), (10, 300)):
         error, elsewhere = learnt(f"dynamics.Gamma={{inverse_of: model, scale: {scale}}}")
         scalar_error, scalar_elsewhere = learnt(f"dynamics.Gamma={scalar}")

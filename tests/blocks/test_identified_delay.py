@@ -1,4 +1,4 @@
-"""Probe, identified servo model and aggregation in one loop, behind delays that no block is configured for."""
+"""Probe, identified servo model and aggregation in one loop, with delays that no block is configured for."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WIDE = {
 
 
 def started(made: dict[str, Any], samples: int) -> dict[str, Any]:
-    """On its path, with the task and the probe that both laws share, behind a delay of so many samples."""
+    """The path, the task and the probe that both laws share, with a delay of so many samples."""
     blocks = made["blocks"]
     blocks["task"] = {"type": "sampled_tracking", "gain_margin": 1.67, "delay_up_to": 3}
     blocks["probe"] = {"type": "delay_probe", "delay_up_to": 3, "taps": 5, "lasting": "2 s"}
@@ -43,7 +43,7 @@ def aggregated(samples: int) -> dm.Graph:
 
 
 def inverse_of_j(samples: int) -> dm.Graph:
-    """The same task and probe, and the prediction over the delay, which is configured; nothing adapts."""
+    """The same task and probe with prediction over the delay, which is configured; without adaptation."""
     made = started(sampled_arm2(), samples)
     made["blocks"]["inverse"] = {"type": "disturbance_observer", "alpha": 0, "delay": samples}
     made["wires"] = {"inverse.dq_r": "probe.dq_probe", "probe.dq_sent": "inverse.dq_c"}
@@ -65,7 +65,7 @@ def test_with_the_delay_that_the_probe_identifies_the_error_is_far_below_that_of
 
 
 def test_the_trip_replaces_a_delay_that_is_too_short() -> None:
-    """A threshold of 0 makes the first delay a coin toss; with this seed it is two samples too short."""
+    """A threshold of 0 makes the first delay random; with this seed it is two samples too short."""
     graph = aggregated(2).set({"probe.threshold": 1e-3, "probe.confidence": 0, "probe.seed": 4})
     without = graph.run(progress=False, judge=False)
     assert set(without["probe.delay_hat"].values[51:]) == {0}

@@ -1,4 +1,4 @@
-"""Each block's equations against numbers worked out by hand."""
+"""Each block's equations compared with numbers computed by hand."""
 
 from __future__ import annotations
 
@@ -91,6 +91,37 @@ def test_waypoints_are_met_at_rest_and_passed_half_way_at_half_time() -> None:
     close(answer("waypoints", given, t=1.5)["q_d"], [2 * quarter, 1 + 4 * quarter])
 
 
+def test_waypoints_are_met_with_their_velocities_and_accelerations() -> None:
+    rows = {"q_d": [[0, 1], [2, 5], [3, 4]], "dq_d": [[0, 0], [0.5, -0.3], [0, 0]], "ddq_d": [[0, 0], [0.2, 4], [0, 0]]}
+    given, h = {"times": [1, 3, 4], **rows}, 1e-3
+
+    def at(t: float, **more: Any) -> Any:
+        return np.array(answer("waypoints", given | more, t=t)["q_d"]).ravel()
+
+    for t, q_d in ((0.0, [0, 1]), (1.0, [0, 1]), (3.0, [2, 5]), (4.0, [3, 4]), (9.0, [3, 4])):
+        close(at(t), q_d)
+    before, middle, after = at(3 - h), at(3), at(3 + h)
+    np.testing.assert_allclose((after - before) / (2 * h), [0.5, -0.3], atol=1e-4)
+    np.testing.assert_allclose((after - 2 * middle + before) / h**2, [0.2, 4], atol=2e-2)
+    for t in (1.0, 1.7, 3.2):  # there and back in 6 s
+        np.testing.assert_allclose(at(8 - t, after="returns"), at(t), atol=1e-12)
+        np.testing.assert_allclose(at(6 + t, after="returns"), at(t), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"dq_d": [[0.0], [1.0]]}, "expected dq_d of zero at the first and the last point"),
+        ({"dq_d": [[0.0]]}, "expected as many rows of dq_d as times, found 1 and 2"),
+        ({"dx_d": [[0.0], [0.0]]}, "expected dq_d with q_d, found dx_d"),
+        ({"after": "repeats"}, "expected the last point to be the first one"),
+    ],
+)
+def test_waypoints_with_rates_that_do_not_fit_are_refused(more: dict[str, Any], text: str) -> None:
+    with pytest.raises(DmframeError, match=text):
+        find_block("waypoints")(**{"times": [0, 1], "q_d": [[0.0], [1.0]], **more})
+
+
 def test_velocity_steps_change_at_their_times_and_ramps_after_them() -> None:
     given = {"times": [1, 3], "speeds": [[0.2, -0.4], [0, 0.1]]}
     for t, dq_r in ((0.0, [0, 0]), (0.999, [0, 0]), (1.0, [0.2, -0.4]), (2.999, [0.2, -0.4]), (9.0, [0, 0.1])):
@@ -107,7 +138,7 @@ def test_epicycles_add_circles_whose_time_stops_at_each_interval() -> None:
         return [x, 2, 3 + 0.5 * math.sin(2 * theta + 0.3) + 0.1 * math.sin(1 - theta)]
 
     close(answer("epicycles", given, t=1.7)["x_d"], at(1.7))
-    stopped = given | {"stop": 1, "every": 4, "pause": 0.25}  # it moves for 3 s, and rests for 1 s
+    stopped = given | {"stop": 1, "every": 4, "pause": 0.25}  # motion for 3 s, rest for 1 s
     quarter = 10 / 4**3 - 15 / 4**4 + 6 / 4**5
     for t, theta in ((0.0, 0), (0.75, 4 * quarter), (1.5, 2), (3.0, 4), (3.6, 4), (4.0, 4), (9.5, 10)):
         close(answer("epicycles", stopped, t=t)["x_d"], at(theta))
@@ -177,7 +208,7 @@ def test_inverse_dynamics_of_a_wrong_model_is_the_torque_of_a_lighter_arm_and_is
     np.testing.assert_allclose(light, 0.8 * whole, rtol=1e-12)
     graph = dm.load("computed_torque")
     assert graph.verify().outcome == "proved"
-    for off in (-0.2, 0.0):  # none but a model that fits by its very equations
+    for off in (-0.2, 0.0):  # none except a model that satisfies the equations
         assert graph.set({"torque.off": off}).verify().outcome == "refuted"
 
 
@@ -210,7 +241,7 @@ def test_the_pi_inverse_is_eqs_12_14_and_16() -> None:
     [("velocity", "q_r", [1.5, 2], [1.5, 2]), ("position", "q_tie", [1, 2], [1.5, 2])],
 )
 def test_the_pid_inverse_is_eqs_32_to_39(tie: str, reference: str, dq_r: list[float], rate: list[float]) -> None:
-    """(32) and (34) start from other velocities, and are the same law where these give the same dq_ref."""
+    """(32) and (34) have different initial velocities, and are the same law if these give the same dq_ref."""
     given = {"K_c": 0.5, "Lambda": 2, "Lambda_P": 3, "Lambda_I": 4, "tie": tie}
     state = {reference: [1, 1], "z": [0.2, -0.4], "w": [0.1, 0.2], "w_P": [2, 3], "w_I": [5, 6]}
     found = answer("pid_inverse", given, q=[2, 1], q_c=[1.5, 0], dq_r=dq_r, dq=[1.5, 1], tau_dc=[10, 20], **state)
@@ -442,7 +473,7 @@ def test_direct_adaptation_uses_the_error_through_the_estimated_mass_matrix() ->
 
 def test_the_mass_estimate_is_the_textbooks_matrix_of_the_estimated_parameters() -> None:
     robot = load("arm2")
-    a_d_hat = np.append(1.5 * np.array(robot.inertia, dtype=float).ravel(), [7, 8])  # two of friction: no part of M
+    a_d_hat = np.append(1.5 * np.array(robot.inertia, dtype=float).ravel(), [7, 8])  # two of friction, not in M
     found = mass_estimate(robot, a_d_hat)
     close(found, 1.5 * closed_form.mass_matrix(Q))
 
@@ -498,7 +529,7 @@ def test_the_derived_reference_acceleration_is_the_slope_of_the_reference_while_
     graph = Graph.read("theorem_3", ["geometry.Gamma_k=20", "solver={output: 0.5 ms}"])
     diagram = graph.diagram
     run = simulate(diagram, 0.4, clock=None, solver=graph.solver, start=graph.start)
-    assert np.ptp(run["geometry.a_k_hat"], axis=0).max() > 1e-3  # it does adapt
+    assert np.ptp(run["geometry.a_k_hat"], axis=0).max() > 1e-3  # adaptation is active
     loop = diagram.loop
     (derived,) = loop.joined([diagram.resolver.input("model", "ddq_ref")])
     function = ca.Function("ddq_ref", [loop.state, loop.time, loop.p], [loop.on_path(derived)])

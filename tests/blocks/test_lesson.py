@@ -1,4 +1,4 @@
-"""With q_r = q_d over a PI servo the arm misses its goal: by hand, by the closed form of the equilibrium, and by V."""
+"""With q_r = q_d and a PI servo the arm misses its goal: by hand, by the closed form of the equilibrium, and by V."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dmframe.simulate import Recording, simulate
 Array = NDArray[np.float64]
 GOAL, K_P, K_I, B = np.array([0.3, 0.4]), np.array([20.0, 10.0]), np.array([40.0, 20.0]), np.array([1.0, 0.5])
 GAMMA, LAMBDA, LAMBDA_I, DURATION = 1.0, 0.01, 1.0, 20.0
-RESTING = np.array([-0.13733102, -0.06096486])  # [rad] q - q_d, where it stops
+RESTING = np.array([-0.13733102, -0.06096486])  # [rad] q - q_d at the equilibrium
 G = 9.81  # [m/s^2]
 
 
@@ -33,13 +33,13 @@ def arm(q: Array, dq: Array) -> tuple[Array, Array, Array]:
 
 
 def gravity(q: Array) -> Array:
-    """The columns of Y_d(q, dq, 0, 0) that are not zero: of link 1's first moments, link 2's mass and its moments."""
+    """The non-zero columns of Y_d(q, dq, 0, 0): first moments of link 1, mass and moments of link 2."""
     c, s, c_12, s_12 = np.cos(q[0]), np.sin(q[0]), np.cos(q[0] + q[1]), np.sin(q[0] + q[1])
     return G * np.array([[c, -s, 0.45 * c, c_12, -s_12], [0, 0, 0, c_12, -s_12]])
 
 
 def rate(_: float, state: Array) -> Array:
-    """Eqs. (3), (6), (12) and (14)-(16) with q_r = q_d at rest, so that s = dq and Y_d holds gravity alone."""
+    """Eqs. (3), (6), (12) and (14)-(16) with constant q_r = q_d, so that s = dq and Y_d contains gravity only."""
     q, dq, q_c, w, w_I = state[:10].reshape(5, 2)
     a_hat = state[10:]
     Y_d = gravity(q)
@@ -85,20 +85,20 @@ def test_the_arm_stops_where_an_independent_simulation_stops() -> None:
 
 
 def test_the_resting_error_is_the_equilibriums_closed_form() -> None:
-    r"""At rest the servo holds gravity, K_I (q_c - q) = g, and commands nothing, w_I (q_d - q_c) + w tau_dc = 0."""
+    r"""At equilibrium the servo holds gravity, K_I (q_c - q) = g, with zero command: w_I (q_d - q_c) + w tau_dc = 0."""
     _, run, _ = done()
     q, tau = run["arm.q"][-1], run["dynamics.tau_dc"][-1]
     _, _, g = arm(q, np.zeros(2))
     closed = -g / K_I + run["inverse.w"][-1] * tau / run["inverse.w_I"][-1]
     np.testing.assert_allclose(error(run), closed, atol=1e-9)
     assert np.abs(run["arm.dq"][-1]).max() < 1e-9
-    assert np.linalg.norm(closed) > 0.15  # [rad]: no rounding
+    assert np.linalg.norm(closed) > 0.15  # [rad]: larger than rounding
 
 
 def test_the_identity_is_proved_and_the_error_is_bounded_as_v_states() -> None:
     _, run, verdict = done()
     assert verdict.outcome == "proved"
-    # V(0) of eq. (18) without the kinematics: at the goal, at rest, every error is that of an estimate
+    # V(0) of eq. (18) without the kinematics: at the goal, at rest, all errors are estimation errors
     masses, moments = [6, 3.5], [6 * 0.2, 3.5 * 0.17]
     inertias = [0.01, 0.004, *2 * [0.12 + 6 * 0.2**2], *2 * [0.05 + 3.5 * 0.17**2]]
     V_0 = np.sum(np.square([*masses, *moments, *inertias, *B])) / (2 * GAMMA)
@@ -107,7 +107,7 @@ def test_the_identity_is_proved_and_the_error_is_bounded_as_v_states() -> None:
 
 
 def moves_with_the_position(verdict: Verdict) -> bool:
-    """Whether dV/dt dissipates a square in q, from which convergence of the position could follow."""
+    """True if dV/dt dissipates a square in q, from which convergence of the position could follow."""
     assert verdict.claim is not None
     (q,) = (variable.symbol for variable in verdict.claim.loop.plant if variable.label == "arm.q")
     spent = [term for part in verdict.claim.parts for term in part.certificate.dissipation if hasattr(term, "vector")]
@@ -115,7 +115,7 @@ def moves_with_the_position(verdict: Verdict) -> bool:
 
 
 def positions_said_to_vanish(verdict: Verdict) -> list[str]:
-    """Statements that something made of q goes to zero; dq is not q."""
+    """Statements that a function of q converges to zero; dq is not one."""
     found = [item.signal for item in verdict.statements if "zero" in item.says]
     return [signal for signal in found if re.search(r"(?<![a-zA-Z_])q(?![a-zA-Z])", signal)]
 
@@ -142,7 +142,7 @@ PID = (
 
 
 def test_over_a_pid_servo_with_a_tied_velocity_the_paper_is_right() -> None:
-    """There dV/dt dissipates q - q_r itself, and q_r is q_d where the robot starts on its path."""
+    """Here dV/dt dissipates q - q_r, and q_r equals q_d if the robot starts on its path."""
     _, run, verdict = done("duration=60 s", *PID)
     assert verdict.outcome == "proved"
     assert moves_with_the_position(verdict)

@@ -1,4 +1,4 @@
-"""What keeps the packaged graphs sound for a day on their own clocks; ``make soak`` runs them all for one."""
+"""Conditions for a bounded run of a day for the packaged graphs on their clocks; ``make soak`` runs all of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 import dmframe as dm
 
-WITHOUT = {  # each looked at by itself, with `make soak`; a new graph has to be, too
+WITHOUT = {  # each was examined separately with `make soak`; a new graph has to be examined too
     "filtered_regulation_pi",
     "filtered_regulation_pid",
     "observed_regulation_pi",
@@ -24,7 +24,7 @@ WITHOUT = {  # each looked at by itself, with `make soak`; a new graph has to be
 
 
 def sampled() -> list[str]:
-    """The packaged graphs whose dynamics adapt on a clock."""
+    """The packaged graphs with adaptation of the dynamics in discrete time."""
     found = {name: dm.load(name) for name in dm.graphs()}
     adapts = {
         name: type(graph.blocks.get("dynamics")).__name__ == "DynamicCompensator" for name, graph in found.items()

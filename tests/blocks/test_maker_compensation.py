@@ -1,4 +1,4 @@
-"""Servos that already compensate gravity or friction, and an outer loop that does not know it."""
+"""Servos with built-in compensation of gravity or friction, and an outer loop without information about it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(overrides: Sequence[str], duration: float, name: str = GRAPH) -> Recordi
 
 
 def outputs(diagram: Diagram, block: str, names: Sequence[str], known: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """Outputs of one block at given inputs and states, at the graph's own numbers."""
+    """Outputs of one block at given inputs and states, with the graph's values."""
     model = diagram.models[block]
     own = {**model.inputs, **model.states}
     function = ca.Function(

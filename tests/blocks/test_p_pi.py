@@ -48,7 +48,7 @@ def test_with_all_of_the_feed_forward_the_cascade_is_a_pid_servo(tmp_path: Path)
 
 @pytest.mark.parametrize(("f", "filtered", "lag"), [(1.0, 0.0, 0.0), (0.6, 0.002, 0.001), (0.0, 0.0, 0.003)])
 def test_the_servo_moves_the_textbooks_arm_as_in_scipy(f: float, filtered: float, lag: float, tmp_path: Path) -> None:
-    """The commands of a run, applied by an integrator and a model that share no equation with it."""
+    """The commands of a run, applied by an integrator and a model that share no equation with dmframe."""
     options = f", feed_forward: {f}"
     options += f", velocity_filter: {filtered} s" if filtered else ""
     options += f", torque_lag: {lag} s" if lag else ""
@@ -79,7 +79,7 @@ ANGLES = "the joint angles q stay bounded"
 
 @pytest.mark.parametrize("f", [0.8, 1.0])
 def test_the_inverse_is_proved_for_each_share(f: float, tmp_path: Path) -> None:
-    """A path of the joints bounds their angles."""
+    """A joint path bounds the joint angles."""
     found = graph(tmp_path, SERVO + f", feed_forward: {f}}}", INVERSE).verify()
     assert found.proved
     assert {"z", "q_c", "xi", "q"} <= {item.signal for item in found.verdict.statements if item.says == "is bounded"}
@@ -115,7 +115,7 @@ def test_nothing_is_proved_without_feed_forward_or_with_a_filter_or_a_lag(tmp_pa
 @pytest.mark.parametrize("row", ["w_f", "w", "w_r", "w_c", "w_z"])
 def test_a_wrong_sign_in_any_row_of_the_adaptation_is_refuted(row: str, tmp_path: Path) -> None:
     class Wrong(PPiInverse):  # type: ignore[misc]
-        """With a fault, and no law in prose."""
+        """With a seeded fault, and without printed laws."""
 
         def direction(self, u: Any, x: Any, p: Any, sigma: Any) -> Any:
             """One sign changed."""
@@ -130,13 +130,13 @@ def test_a_wrong_sign_in_any_row_of_the_adaptation_is_refuted(row: str, tmp_path
 
 
 def test_a_wrong_true_value_is_refuted(tmp_path: Path) -> None:
-    """w_c is not w_r: with (K_v k_p + K_i)/(K_v f) for both, the balance holds for f = 1 only."""
+    """w_c differs from w_r: with (K_v k_p + K_i)/(K_v f) for both, the identity holds for f = 1 only."""
 
     class Wrong(PPiInverse):  # type: ignore[misc]
-        """With a fault, and no law in prose."""
+        """With a seeded fault, and without printed laws."""
 
         def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Any:
-            """One true value for two estimates."""
+            """The same true value for two estimates."""
             own = super().certificate(u, x, p, truth)
             return replace(own, estimates={**own.estimates, "w_c": own.estimates["w_r"]})
 

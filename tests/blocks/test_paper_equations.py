@@ -1,7 +1,7 @@
-"""The paper's equations that no block states, since they follow: by hand, for a planar arm, at random states.
+"""Equations of the paper that no block states, since they follow from others: for a planar arm, at random states.
 
-Everything here is NumPy: nothing of the framework is used, so the paper's own chain of equations is checked, and its
-readings that differ. All products of columns are taken element by element. Derivatives of V are complex steps, exact to
+This file uses NumPy only and no part of the framework, so it checks the paper's own chain of equations, and the
+readings that differ. All products of columns are element by element. Derivatives of V are complex steps, exact up to
 rounding: Im V(x + i h dx/dt) / h.
 """
 
@@ -78,7 +78,7 @@ def drawn(seed: int, **shapes: int) -> dict[str, Array]:
 
 
 def truth(seed: int) -> SimpleNamespace:
-    """True parameters and gains, all above zero; K_c above the bound that M_bar sets."""
+    """True parameters and gains, all positive; K_c above the bound given by M_bar."""
     draw = np.random.default_rng(100 + seed)
     names = ("K", "K_P", "K_I", "K_D", "Lambda", "Lambda_P", "Lambda_I", "K_1", "K_2", "K_c", "lengths", "Gamma_k")
     t = SimpleNamespace(**{name: draw.uniform(0.5, 2, 2) for name in names})
@@ -104,7 +104,7 @@ def filtered(t: SimpleNamespace, x: Motion) -> SimpleNamespace:
 
 
 def task_storage(t: SimpleNamespace, x: SimpleNamespace, x_d: Array) -> Any:
-    """The terms of the task in eqs. (18) and (41)."""
+    """The terms of the task level in eqs. (18) and (41)."""
     error = square(position(x.q, t.lengths) - x_d) + square(x.y, t.K_2 / t.K_1)
     return t.alpha * (error + square(x.a_k - t.lengths, 1 / t.Gamma_k)) / 2
 
@@ -159,7 +159,7 @@ def test_theorem_1s_closed_loop_and_lyapunov_function_are_eqs_11_17_and_18(seed:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_observers_cascade_is_eqs_24_25_and_29(seed: int) -> None:
-    """With dq_r of eq. (20) and any s; the terms that (29) drops are two squares, so it is an inequality."""
+    """With dq_r of eq. (20) and any s; the two terms that (29) drops are squares, so it is an inequality."""
     t, x = truth(seed), drawn(seed, q=2, dq=2, x_o=2, a_k=2)
     x_d, J, J_hat = np.array([0.3, 0.2]), jacobian(x["q"], t.lengths), jacobian(x["q"], x["a_k"])
     Dx, Dx_o = position(x["q"], t.lengths) - x_d, x["x_o"] - position(x["q"], t.lengths)
@@ -266,7 +266,7 @@ def test_a_users_torque_through_a_pi_servo_is_eqs_48_to_60(seed: int) -> None:
     t = truth(seed)
     x = drawn(seed, q=2, dq=2, q_c=2, w=2, w_I=2, a=7, Dq=2, dDq=2, ddq_d=2)
     K_star, h, alpha_bar = t.K * t.K_P, x["q_c"] - x["q"], 1.3
-    a_hat = t.a_d * (1 + 0.2 * x["a"])  # near the truth, so that M_hat can be inverted
+    a_hat = t.a_d * (1 + 0.2 * x["a"])  # near the true values, so that M_hat is invertible
     wish = x["ddq_d"] - 2 * alpha_bar * x["dDq"] - alpha_bar**2 * x["Dq"]
     tau_d = Y_d(x["q"], x["dq"], x["dq"], wish) @ a_hat  # (59)
     dq_c = x["dq"] - x["w_I"] * h + x["w"] * tau_d  # (49)

@@ -1,4 +1,4 @@
-"""A path that waits: its own time by hand, and what it spares joints that can go no faster."""
+"""A path with variable pace: its time by hand, and its effect on joints at their velocity limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PACE = {"type": "path_pace", "u_max": LIMIT}
 
 
 def graph(inverse: dict[str, Any] | None = None, delay: int = 0, **blocks: dict[str, Any]) -> dm.Graph:
-    """A planar arm whose path needs one and a half times the limits of its joints."""
+    """A planar arm whose path requires one and a half times the velocity limits of its joints."""
     wires = {"path.t": "pace.t_path"} if "pace" in blocks else {}
     made: dict[str, Any] = {
         "dmframe": 1,
@@ -46,7 +46,7 @@ def ends(run: dm.Run) -> float:
 def test_its_rates_are_those_by_hand() -> None:
     pace = block_types()["path_pace"](u_max=[2.0, 0.5], share=0.8, recovery=4.0)
     for dq_c, r, after in (
-        ([1.0, 0.5], 0.6, 0.6 / (0.5 / 0.4)),  # the second joint is beyond its share, 0.4 rad/s
+        ([1.0, 0.5], 0.6, 0.6 / (0.5 / 0.4)),  # the second joint exceeds its fraction of the limit, 0.4 rad/s
         ([-1.8, 0.1], 0.6, 0.6 / (1.8 / 1.6)),
         ([1.0, -0.3], 0.6, 0.6 + T / 4 * 0.4),
     ):
@@ -64,7 +64,7 @@ def test_a_path_that_waits_is_followed_and_one_that_does_not_is_not() -> None:
     s = np.asarray(found["pace.t_path"]).ravel()
     wanted = np.array([0.6, 0.2]) + 0.1 * np.column_stack([np.sin(2 * s), np.cos(2 * s)])
     np.testing.assert_allclose(found["path.x_d"], wanted, atol=1e-12)
-    assert 0.4 < s[-1] / 20 < 0.9  # it takes its time, and not more
+    assert 0.4 < s[-1] / 20 < 0.9  # it takes the necessary time, but not more
     settled = np.abs(np.asarray(found["inverse.dq_c"]))[50:]
     assert np.max(settled) < LIMIT
     useless = graph(pace={**PACE, "share": 100}).run(progress=False)

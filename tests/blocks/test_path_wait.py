@@ -1,4 +1,4 @@
-"""A path that waits in continuous time: its rate by hand, the velocity along it, and what stays proved."""
+"""A path that waits in continuous time: its rate by hand, the velocity along it, and the proofs that remain valid."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_path_waits_for_a_tool_that_begins_away_from_it_and_commands_less() ->
     on_circle = np.array([-0.07, 0.67, 0.55]) + 0.15 * np.stack([np.sin(along), np.cos(along), 0 * along], axis=1)
     np.testing.assert_allclose(data["path.x_d"].values, on_circle, atol=1e-12)
     assert np.min(pace) < 0.4  # it waits
-    assert pace[-1] > 0.9  # and goes on
+    assert pace[-1] > 0.9  # and continues
     assert np.max(pace) <= 1
     at_once = graph.set({"blocks.pace": None, "wires": {}}).run(until=3)
     commanded = [float(np.max(np.abs(each.data["inverse.dq_c"].values))) for each in (run, at_once)]

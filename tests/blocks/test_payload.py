@@ -1,4 +1,4 @@
-"""A load at the tool: against Pinocchio, proved between its steps, estimated, and its excitation."""
+"""A load at the tool: compared with Pinocchio, proved between its steps, estimated, and its excitation."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_the_loaded_robot_accelerates_as_pinocchios_does() -> None:
         robot = model(held)
         data, other = robot.createData(), bare.createData()
         for k in ticks:
-            carried = pin.computeGeneralizedGravity(bare, other, q[k])  # the maker's servo knows of no load
+            carried = pin.computeGeneralizedGravity(bare, other, q[k])  # the servo has no model of the load
             torque = u[k] + carried - B * dq[k] - D * np.tanh(dq[k] / V_0)
             assert ddq[k] == pytest.approx(pin.aba(robot, data, q[k], dq[k], torque), rel=1e-6, abs=1e-6)
 
@@ -99,7 +99,7 @@ def test_a_plant_with_bodies_of_its_own_accelerates_as_the_robot_with_them_does(
         )
     data, other = heavy.createData(), bare.createData()
     for k in range(0, len(q), 10):
-        carried = pin.computeGeneralizedGravity(bare, other, q[k])  # the maker's servo carries the robot of the file
+        carried = pin.computeGeneralizedGravity(bare, other, q[k])  # the servo compensates the file's robot
         torque = u[k] + carried - B * dq[k] - D * np.tanh(dq[k] / V_0)
         assert ddq[k] == pytest.approx(pin.aba(heavy, data, q[k], dq[k], torque), rel=1e-6, abs=1e-6)
 
@@ -117,7 +117,7 @@ def test_bodies_are_a_row_of_ten_numbers_for_each_link(rows: list[list[float]], 
 
 
 def by_least_squares(run: dm.Run, start: float, end: float) -> Array:
-    """The load's ten parameters, from the true torque of the motors by Pinocchio's regressor."""
+    """The load's ten parameters, from the true motor torque by Pinocchio's regressor."""
     part = slice(*np.searchsorted(run.time, [start, end]), 10)
     rows, right = [], []
     bare = model()
@@ -152,13 +152,13 @@ def test_excitation_is_what_no_other_column_compensates() -> None:
     others = np.delete(W, 1, axis=1)
     left = W[:, 1] - others @ np.linalg.lstsq(others, W[:, 1], rcond=None)[0]
     assert excitation(W, 100, np.eye(5)[1:2]) == pytest.approx(np.linalg.norm(left) / np.sqrt(100))
-    W[:, 4] = W[:, 0] - 2 * W[:, 2]  # three that no row distinguishes; their sum is determined
+    W[:, 4] = W[:, 0] - 2 * W[:, 2]  # three that no row separates; their sum is determined
     found = excitation(W, 100, np.vstack([np.eye(5), [1, 0, -2, 0, 0], [1, 0, 0, 0, 1]]))
     assert list(found > 0) == [False, True, False, True, False, False, True]
 
 
 def test_two_joints_determine_a_mass_by_the_difference_of_their_torques_and_a_single_one_never() -> None:
-    """About a single joint, first moments and one moment of inertia are all that turns."""
+    """For a single joint, only first moments and one moment of inertia have an effect."""
     text = SMALL.replace("clock: continuous", "clock: 1 ms") + "  holds:    {type: payload_estimate}\n"
     alone = text.replace("arm2", "pendulum").replace("[0.5, 0.9]", "[0.5]").replace("[1, 2]", "[2]")
     alone = alone.replace("[60, 30]", "[30]").replace("[240, 120]", "[120]")
@@ -218,7 +218,7 @@ def test_v_jumps_where_the_load_does_and_nowhere_else() -> None:
     graph = dm.load("ur10_payload").set({"load.at": [0.0, 4.0, 8.0]})
     run = graph.run(until=10)
     V = along(claim_of(run.recording.diagram), run.recording).V
-    steps = np.abs(np.diff(V)) * (run.time[1:] > 1)  # the first second is that of the start
+    steps = np.abs(np.diff(V)) * (run.time[1:] > 1)  # the first second belongs to the start
     largest = sorted(run.time[1:][np.argsort(steps)[-2:]])
     assert largest == pytest.approx([4.0, 8.0], abs=0.009)
 
@@ -246,7 +246,7 @@ def test_a_servo_that_compensates_the_links_is_refuted_where_the_controller_take
 
 @final
 class Ramp(AbstractBlock):
-    """A load that grows, and says that it steps."""
+    """A load that increases and declares its steps."""
 
     side = Side.SOURCE
     inputs = (TIME,)
@@ -258,7 +258,7 @@ class Ramp(AbstractBlock):
 
 @final
 class Silent(AbstractBlock):
-    """A load that steps, and does not say so."""
+    """A load that steps without declaring it."""
 
     side = Side.SOURCE
     inputs = (TIME,)
@@ -300,7 +300,7 @@ def test_a_load_that_is_not_a_rigid_body_is_refused(load: dict[str, Any], says: 
 
 
 def learning_all(load: str = "mass: [1, 0], at: [0.2, 0.6]", arm: str = "loaded_manipulator") -> dm.Graph:
-    """SMALL with columns for all links in the place of those for the load."""
+    """SMALL with columns for all links instead of those for the load."""
     text = SMALL.replace("payload_regressor", "regressor").replace("mass: [1, 0], at: [0.2, 0.6]", load)
     return dm.load(text.replace("loaded_manipulator", arm))
 
@@ -333,14 +333,14 @@ def test_the_true_parameters_are_those_of_the_last_link_with_the_load_as_pinocch
         found, robot = function(t, loop.p_values).full().ravel(), model(held)
         links = np.concatenate([np.array(robot.inertias[k].toDynamicParameters()) for k in range(1, 7)])
         assert found[:60] == pytest.approx(links, rel=1e-9, abs=1e-9)
-        weighs = found[60:84].reshape(6, 4)  # the servo carries the robot's own weight, and nothing of the load's
+        weighs = found[60:84].reshape(6, 4)  # the servo compensates the robot's own weight only
         own = np.array([model().inertias[k].toDynamicParameters()[:4] for k in range(1, 7)])
         assert weighs == pytest.approx(links.reshape(6, 10)[:, :4] - own, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["regressor", "payload_regressor"])
 def test_a_robot_that_takes_no_load_has_none_in_its_true_parameters(kind: str) -> None:
-    """A payload next to `manipulator` changes nothing, and a proof takes it for nothing."""
+    """A payload together with `manipulator` has no effect, and a proof treats it so."""
     verdict = learning_all(arm="manipulator").set({"model.type": kind}).verify().verdict
     assert verdict.outcome == "proved", verdict.reason
     assert not any("load.a_load" in item.text for item in verdict.assumptions)

@@ -1,4 +1,4 @@
-"""Tracking with position and orientation: against Pinocchio, in exact arithmetic, and simulated once more by hand."""
+"""Tracking with position and orientation: compared with Pinocchio, exact arithmetic, and a second simulation."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_the_tools_orientation_and_the_jacobian_of_its_pose_are_pinocchios() -> 
 
 
 def desired(kind: str, t: float, **given: Any) -> tuple[Array, Array]:
-    """Orientation and, where there is one, the position of a source."""
+    """Orientation and, if there is one, position of a source."""
     found = find_block(kind)(**given).evaluate({"t": t} if kind != "setpoint" else {}).outputs
     return matrix(np.asarray(found["p_d"])), np.asarray(found.get("x_d"))
 
@@ -163,8 +163,8 @@ def test_a_spiral_keeps_to_its_ball_with_the_tool_at_right_angles_to_it() -> Non
         R_d, x_d = desired("spiral", t, **given)
         out = (x_d - center) / np.linalg.norm(x_d - center)
         assert np.linalg.norm(x_d - center) == pytest.approx(0.5)
-        np.testing.assert_allclose(R_d @ down.T @ [0, 0, 1], out, atol=1e-14)  # what points up on top
-        np.testing.assert_allclose(R_d[:, 0], -out, atol=1e-14)  # the tool's own axis, into the ball
+        np.testing.assert_allclose(R_d @ down.T @ [0, 0, 1], out, atol=1e-14)  # pointing upwards at the top
+        np.testing.assert_allclose(R_d[:, 0], -out, atol=1e-14)  # along the tool's axis, into the ball
         leans.append(np.arccos(out[2]))
     np.testing.assert_allclose(leans, 0.15 * (1 - np.cos(0.2 * np.linspace(0, 5 * np.pi, 9))), atol=1e-7)
 
@@ -247,7 +247,7 @@ OLD: dict[str, Any] = {
     "inverse.w": 0,
     "inverse.w_box": [[0, 0, 0, 0, 0, 0], [0.004, 0.004, 0.008, 0.2, 0.4, 4]],
 }
-"""Gains of which the ideal loop is as accurate, and whose wrist takes a load's weight for Coulomb friction."""
+"""Gains with the same accuracy in the ideal loop, with which the wrist identifies a load as Coulomb friction."""
 
 
 @pytest.mark.parametrize(("changes", "borne"), [({}, True), (OLD, False)])
@@ -281,7 +281,7 @@ W_ENDS = np.array([[1e-4, 1e-4, 2e-4, 6e-4, 1.2e-3, 1.2e-2], [0.0025, 0.0025, 0.
 
 
 class ByHand:
-    """`ur10_pose`, going out faster, in NumPy and Pinocchio: path, reference, adaptive law, servo and robot."""
+    """`ur10_pose` with a faster start, in NumPy and Pinocchio: path, reference, adaptive law, servo and robot."""
 
     def __init__(self) -> None:
         self.model = load("ur10").model
@@ -289,7 +289,7 @@ class ByHand:
         self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
 
     def path(self, t: float) -> tuple[Array, Array, Array]:
-        """R_d, x_d, and the velocity of both: the tool leans by b about the horizontal axis n."""
+        """R_d, x_d, and the velocities of both: the tool is tilted by b about the horizontal axis n."""
         b, db, a, da = 0.15 * (1 - np.cos(BREATH * t)), 0.15 * BREATH * np.sin(BREATH * t), 0.5 * t, 0.5
         n, dn = np.array([-np.cos(a), np.sin(a), 0]), da * np.array([np.sin(a), np.cos(a), 0])
         omega = db * n + np.sin(b) * dn + (1 - np.cos(b)) * np.cross(n, dn)
@@ -309,7 +309,7 @@ class ByHand:
         return np.array(np.linalg.solve(J, moving) - GAMMA * J.T @ e)
 
     def run(self, q: Array, ticks: int) -> dict[str, Array]:
-        """The controller's signals, sample by sample; Euler for its states."""
+        """The controller's signals at each sample; Euler steps for its states."""
         plant = self.robot.held(q)
         q_r, z, w, w_P, w_I, a = q, np.zeros(6), W, np.full(6, 2.0), np.full(6, 0.7), np.zeros(72)
         kept: dict[str, list[Array]] = {name: [] for name in ("q", "dq_c", "w", "a", "turn")}

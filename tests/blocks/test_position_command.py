@@ -1,4 +1,4 @@
-"""A robot that takes joint positions: what it costs on a clock, and that nothing changes in continuous time."""
+"""A robot with joint position commands: its error in discrete time, and no change in continuous time."""
 
 from __future__ import annotations
 
@@ -81,16 +81,16 @@ def test_on_a_clock_the_servo_works_with_the_position_of_the_last_sample(
 
 
 def by_hand(servo: str, position: bool) -> np.ndarray:
-    """The pendulum under the kinematic controller, in SciPy and from the textbook; q at every sample."""
+    """The pendulum with the kinematic controller, in SciPy with textbook equations; q at every sample."""
     period, inertia, weight, B = 0.05, 0.06 + 2 * 0.3**2, 2 * 9.81 * 0.3, 0.3
     K_I = GAINS[servo][-1]
 
     def rate(t: float, state: np.ndarray, dq_c: float, q_held: float) -> list[float]:
-        q, dq, q_c, i = state  # i: of q - q_c or, on a staircase, of q - q_held
+        q, dq, q_c, i = state  # i: integral of q - q_c or, for held positions, of q - q_held
         target = q_held if position else q_c
         if servo == "pi":
             K_P, _ = GAINS["pi"]
-            u, di = -K_P * (dq - dq_c) - K_I * (q - target + i), 0.0  # i: the constant that holds gravity
+            u, di = -K_P * (dq - dq_c) - K_I * (q - target + i), 0.0  # i: the constant that compensates gravity
         else:
             K_D, K_P, _ = GAINS["pid"]
             u, di = -K_D * (dq - dq_c) - K_P * (q - target) - K_I * i, q - target

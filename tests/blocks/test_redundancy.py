@@ -1,4 +1,4 @@
-"""More joints than task coordinates: what the generators do with the motions that the tool does not notice."""
+"""More joints than task coordinates: the self-motion of the generators, which does not move the tool."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: s
 
 
 def reference(diagram: Diagram, state: np.ndarray) -> dict[str, np.ndarray]:
-    """dq_r, J_hat and dq_null at a state and a moment, as the controller computes them."""
+    """dq_r, J_hat and dq_null at a state and an instant, as computed by the controller."""
     loop = diagram.loop
     wanted = [signal for signal in loop.outputs if signal.name in ("dq_r", "J_hat", "dq_null")]
     expressions = loop.joined([loop.on_path(signal.expression) for signal in wanted])

@@ -1,4 +1,4 @@
-"""The regressor's columns, start and truth have one order: that of the names of its parameters."""
+"""The regressor's columns, initial values and true values have one order: that of the parameter names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def regressor(**options):
 
 @pytest.fixture(scope="module")
 def columns():
-    """Each column of Y_d, and each element of the start, by its name; with the motion."""
+    """Each column of Y_d and each initial value by its name; with the motion."""
     robot, block = load("arm2"), regressor(**EVERYTHING)
     motion = dict(zip(("q", "dq", "dq_ref", "ddq_ref"), np.random.default_rng(2).uniform(-1, 1, (4, 2)), strict=True))
     outputs = block.evaluate(motion, robot=robot).outputs

@@ -1,4 +1,4 @@
-"""A load's estimates are reset where the gripper reports a new load: proved between its steps, and V's jump by hand."""
+"""A load's estimates are reset when the gripper reports a new load: proved between steps, the jump of V by hand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dmframe_blocks.payload import Payload
 from dmframe_blocks.reset_compensator import ResetCompensator
 
 Array = NDArray[np.float64]
-HEAVY, LIGHT = 4.3, 1.3  # [kg], the gripper's 0.3 kg with them
+HEAVY, LIGHT = 4.3, 1.3  # [kg], including 0.3 kg of the gripper
 CENTER, INERTIA = np.array([0.02, 0.08, -0.03]), 0.03 * np.eye(3)
 
 SMALL = """
@@ -49,7 +49,7 @@ blocks:
 """
 
 
-# of one joint it is not decided that its mass matrix stays positive with an unknown load
+# for one joint it is not decided that its mass matrix stays positive with an unknown load
 TWO = SMALL.replace("pendulum", "arm2").replace("[0.5]", "[0.5, 0.9]")
 TWO = TWO.replace("[30]", "[60, 30]").replace("[120]", "[240, 120]")
 
@@ -60,7 +60,7 @@ def small(text: str = SMALL) -> Graph:
 
 @cache
 def graph() -> dm.Graph:
-    """The gripper; from 20 s on it holds 4 kg, from 50 s on 1 kg."""
+    """The gripper; from 20 s on it carries 4 kg, from 50 s on 1 kg."""
     plain = dm.load("ur10_payload")
     known = plain.blocks["dynamics"]
     body, gripper = [0.03, 0, 0.03, 0, 0, 0.03], [0.01, 0, 0.01, 0, 0, 0.01]
@@ -97,15 +97,15 @@ def mass_matrix(mass: float, q: Array) -> Array:
 
 
 def jump_at(run: dm.Run, instant: float) -> float:
-    """V right after an instant less V right before, at one state."""
+    """V after an instant minus V before it, at the same state."""
     claim, recording = claim_of(run.recording.diagram), run.recording
     k = int(np.searchsorted(recording.time, instant - 1e-6))
     before = replace(recording, time=recording.time - 1e-9)
     return float(along(claim, recording).V[k] - along(claim, before).V[k])
 
 
-def test_v_jumps_by_what_a_hand_computes_with_pinocchio() -> None:
-    """kappa/2 (sigma' (M_new - M_old) sigma + the squares after, less those before), kappa being 1."""
+def test_the_jump_of_v_is_that_computed_with_pinocchio() -> None:
+    """kappa/2 (sigma' (M_new - M_old) sigma + the squares after, minus those before), with kappa = 1."""
     recording = ran().recording
     k = int(np.searchsorted(recording.time, 50 - 1e-6))
     q, sigma = recording["arm.q"][k], recording["inverse.sigma"][k]
@@ -116,7 +116,7 @@ def test_v_jumps_by_what_a_hand_computes_with_pinocchio() -> None:
     kinetic = sigma @ (mass_matrix(LIGHT, q) - mass_matrix(HEAVY, q)) @ sigma
     after = np.sum((prior + even - new) ** 2 / gain) + np.sum(odd**2 / gain)
     before = np.sum((prior + odd - old) ** 2 / gain) + np.sum(even**2 / gain)
-    assert kinetic < 0  # putting down a part of a load takes energy out
+    assert kinetic < 0  # releasing a part of a load removes energy
     assert jump_at(ran(), 50) == pytest.approx((kinetic + after - before) / 2, rel=1e-6)
 
 
@@ -126,7 +126,7 @@ def test_a_reset_begins_at_the_prior_leaves_friction_and_finds_the_mass() -> Non
     assert np.abs(a_d_hat[k - 1, 0] - prior[0]) > 3
     assert a_d_hat[k, :10] == pytest.approx(prior[:10], abs=1e-9)
     assert a_d_hat[k, 10:] == pytest.approx(a_d_hat[k - 1, 10:], abs=0.02)
-    assert np.abs(a_d_hat[k, 10:] - prior[10:]).max() > 0.1  # which had been learnt
+    assert np.abs(a_d_hat[k, 10:] - prior[10:]).max() > 0.1  # which had been estimated
     assert np.mean(a_d_hat[(time > 30) & (time < 50), 0]) == pytest.approx(HEAVY, rel=0.1)
     assert np.mean(a_d_hat[time > 60, 0]) == pytest.approx(LIGHT, abs=0.4)
     excitation = ran().shown[0].excitation
@@ -210,7 +210,7 @@ def at(block: Any, time: float, output: str) -> Array:
 
 
 def test_what_a_drawing_states_of_the_load_takes_its_error_out_of_v() -> None:
-    """The truth itself is expected: of the load nothing is left to learn, and no reset can make V rise."""
+    """The expected load is the true one: no error of the load remains, and no reset can increase V."""
     loads = {"mass": [2, 1], "at": [1, 2], "center": [[0, 0.1, 0], [0.1, 0, 0]]}
     gripper, payload = Gripper(**loads), Payload(**loads)
     assert [at(gripper, time, "odd") for time in (0.5, 1, 1.5, 2, 3)] == [0, 1, 1, 0, 0]

@@ -1,4 +1,4 @@
-"""Simple predictors of a servo's velocity error, against recursions and stability bounds written by hand."""
+"""Simple predictors of a servo's velocity error, compared with hand-written recursions and stability bounds."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def stepped(block: Any, states: dict[str, Any], q: float, dq_r: float) -> tuple[
 
 
 def followed(block: Any, lags: np.ndarray, delay: int = 0) -> list[dict[str, Any]]:
-    """The outputs where each sample moves the joint by T (command - lag), `delay` samples after the command."""
+    """The outputs if each sample moves the joint by T (command - lag), `delay` samples after the command."""
     q, sent, states, found = 0.0, [0.0] * delay, dict[str, Any](), []
     states = {"q_before": [0.0], "queue": np.zeros((1, delay + 1))}
     for k, lag in enumerate(lags):
@@ -53,7 +53,7 @@ def test_level_and_trend_are_those_of_holts_recursion(alpha: float, beta: float 
     block = BLOCKS["disturbance_observer"](alpha=alpha, **({} if beta is None else {"beta": beta}))
     found = followed(block, lags)
     level = trend = 0.0
-    for k in range(1, 40):  # the first sample has seen no command
+    for k in range(1, 40):  # no command acts in the first sample
         seen = lags[k - 1]
         error = seen - (level + trend)
         level, trend = level + trend + alpha * error, trend + (beta or 0.0) * error
@@ -78,7 +78,7 @@ def test_a_lag_that_grows_steadily_is_forecast_by_the_trend_and_missed_by_the_le
     assert lags[-1] - (level[-1]["sent"] - 0.3) == pytest.approx(behind, abs=1e-9)
     if delay:
         ends = [item["q"] for item in both]
-        assert both[-delay]["q_start"][0] == pytest.approx(ends[-1], abs=1e-9)  # where the joint is then
+        assert both[-delay]["q_start"][0] == pytest.approx(ends[-1], abs=1e-9)  # the position of the joint then
 
 
 @pytest.mark.parametrize("alpha", [0.1, 0.5, 1.0])
@@ -177,7 +177,7 @@ def test_a_lag_that_repeats_is_forecast_exactly_in_the_end(delay: int) -> None:
     assert max(missed[-63:]) < 0.1 * max(missed[:63])  # over a period
     other = BLOCKS["repetitive_inverse"](rate=1.3 * rate, harmonics=2, nu=6.0, delay=delay)
     wrong = [abs(item["epsilon"][0]) for item in followed(other, lags[:120], delay)]
-    assert max(wrong[-50:]) > 0.05  # a series of another period does not fit
+    assert max(wrong[-50:]) > 0.05  # a series of another period is not predicted
 
 
 def repetitive(**options: Any) -> dict[str, Any]:

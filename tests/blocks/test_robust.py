@@ -1,4 +1,4 @@
-"""Robust laws and balls in whole graphs: what is proved, what is refuted, and what each is for, in runs."""
+"""Robust laws and balls in whole graphs: proofs, refutations, and their benefit in runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LAWS = {
     "torque_direct_pid": ("inverse",),
     "torque_indirect_pi": ("inverse",),
 }
-UNBOXED = "dynamics.a_d_hat_box=null"  # a ball instead
+UNBOXED = "dynamics.a_d_hat_box=null"  # a ball instead of a box
 OPTIONS = ("leak", "error_leak", "dead_zone")
 
 
@@ -126,7 +126,7 @@ def test_where_only_a_part_of_v_leaks_no_ultimate_bound_is_stated() -> None:
 
 
 def test_a_residual_that_nothing_bounds_is_no_proof() -> None:
-    verdict = proof("torque_indirect_pi", "adaptation.leak=0.1")  # pulls to a nominal torque that moves with the pose
+    verdict = proof("torque_indirect_pi", "adaptation.leak=0.1")  # the nominal torque changes with the pose
     assert verdict.outcome == "not_applicable"
     assert verdict.reason.startswith("the identity holds, but nothing bounds the residual: adaptation: ")
 
@@ -239,7 +239,7 @@ wires: {inverse.dq: sensor.dq_m, model.dq: sensor.dq_m}
 
 
 def size_of_estimate(folder: Path, *overrides: str) -> np.ndarray:
-    """|a_d_hat| at a third, two thirds and the end of a run whose velocities are measured wrong."""
+    """|a_d_hat| at a third, two thirds and the end of a run with wrongly measured velocities."""
     (folder / "sensor.py").write_text(SENSOR)
     (folder / "graph.yaml").write_text(NEARLY_STILL)
     graph = Graph.read(folder / "graph.yaml", overrides)

@@ -97,7 +97,7 @@ def test_the_regressor_times_the_parameters_is_pinocchios_torque_with_an_armatur
 
 
 def test_base_parameters_group_the_rotors_of_the_first_joints_with_their_links() -> None:
-    """16 of 33: only the third rotor is one of its own, as the rank of the numbers says too."""
+    """16 of 33: only the third rotor has a separate parameter, in agreement with the numerical rank."""
     robot = chain()
     found = base_parameters(robot, ("rotor",))
     assert found.count == 16
@@ -146,7 +146,7 @@ def test_columns_of_rotors_without_rotors_are_harmless(tmp_path: Path) -> None:
 
 def test_columns_of_rotors_with_a_wrong_sign_are_refuted(tmp_path: Path) -> None:
     class Wrong(Regressor):  # type: ignore[misc]
-        """With a fault, and no law in prose."""
+        """With a seeded fault, and without printed laws."""
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             """The columns of the rotors, subtracted."""

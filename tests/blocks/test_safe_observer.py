@@ -1,4 +1,4 @@
-"""Limits with an extended state observer: the quadratic program of the barrier function, its invariant, and a run."""
+"""Limits with an extended state observer: quadratic program of the barrier function, its invariant, and a run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ APPROACH, BANDWIDTH, MARGIN, D = 3.0, 15.0, 0.005, 0.11
 
 
 def command(q: float, wish: float, d_hat: float) -> float:
-    """Of the two blocks one after the other, with limits that are nearly sharp."""
+    """The two blocks in series, with almost sharp limits."""
     options = {"lower": -1.0, "upper": 2.0, "speed": 1.5, "approach": APPROACH, "rounding": 1e-4}
     safe, observer = SafeReference(**options), ExtendedStateObserver(bandwidth=[BANDWIDTH])
     dq_r = float(np.ravel(safe.evaluate({"q": [q, 0], "dq_wish": [wish, 0]}, robot="arm2").outputs["dq_r"])[0])
@@ -28,7 +28,7 @@ def command(q: float, wish: float, d_hat: float) -> float:
 
 
 def programmed(q: float, wish: float, d_hat: float) -> float:
-    """The command nearest to the observer's own under which no room h = 2 - q, q + 1 shrinks faster than it may."""
+    """The command nearest to the observer's with which no distance h = 2 - q, q + 1 decreases faster than allowed."""
     barriers = [
         {"type": "ineq", "fun": lambda u: -(u[0] + d_hat) + APPROACH * (2 - q)},
         {"type": "ineq", "fun": lambda u: (u[0] + d_hat) + APPROACH * (q + 1)},
@@ -51,7 +51,7 @@ def test_both_blocks_are_the_quadratic_program_with_the_estimate_in_its_constrai
 def test_a_disturbance_that_changes_by_no_more_than_d_costs_2_d_over_approach_and_bandwidth(
     a: float, omega: float
 ) -> None:
-    """From d' to d - d_hat, and to the room, where the barrier is active: no response changes its sign."""
+    """From d' to d - d_hat, and to the distance, while the barrier is active: no response changes its sign."""
     error = scipy.signal.TransferFunction([1, 2 * omega], np.poly([-omega, -omega]))
     room = scipy.signal.TransferFunction([1, 2 * omega], np.poly([-omega, -omega, -a]))
     times = np.linspace(0, 40 / min(a, omega), 20_001)
@@ -65,7 +65,7 @@ def test_a_disturbance_that_changes_by_no_more_than_d_costs_2_d_over_approach_an
         q_hat_rate, d_hat_rate = (float(np.ravel(found.rates[name])[0]) for name in ("q_hat", "d_hat"))
         dq = float(np.ravel(found.outputs["dq_c"])[0])  # and d = 0
         rows.append([dq - q_hat_rate, -d_hat_rate])
-    for s in (0, 1j, 7 + 3j):  # the first of both is that of the block's own rates
+    for s in (0, 1j, 7 + 3j):  # the first of both follows from the block's rates
         of_block = np.linalg.solve(s * np.eye(2) - np.array(rows).T, [0, 1])[1]
         assert of_block == pytest.approx((s + 2 * omega) / (s + omega) ** 2)
 
@@ -76,7 +76,7 @@ def run_of(reality: str = "none", **changes: Any) -> dm.Run:
 
 
 def faults(run: dm.Run) -> list[str]:
-    """What of the barrier function a run breaks: limits, the constraint on each command, or what follows from it."""
+    """Violations of the barrier function in a run: limits, the constraint on each command, or its consequences."""
     q, d_hat = run.data["arm.q"].values, run.data["inverse.d_hat"].values
     dq_c = run.data["inverse.dq_c"].values
     found = []
@@ -85,7 +85,7 @@ def faults(run: dm.Run) -> list[str]:
     for room, sign in ((UPPER - MARGIN - q, 1), (q - LOWER - MARGIN, -1)):
         if np.any(sign * (dq_c + d_hat) > APPROACH * room + 1e-9):
             found.append("constraint")
-        # d - d_hat over each sample, from two positions and what was commanded; what it may have cost until then
+        # d - d_hat over each sample, from two positions and the command; and its possible effect until then
         missed = np.diff(q, axis=0) / T - (dq_c + d_hat)[:-1]
         kept = [room[0]]
         for error in missed:
@@ -98,11 +98,11 @@ def faults(run: dm.Run) -> list[str]:
 @pytest.mark.parametrize("reality", ["none", "ur"])
 def test_on_a_run_limits_and_constraint_are_kept_and_the_margin_is_that_of_what_is_assumed(reality: str) -> None:
     run = run_of(reality)
-    if reality == "none":  # elsewhere the controller reads another q than the true one
+    if reality == "none":  # here the controller reads another q than the true one
         assert faults(run) == []
     q, dq, later = run.data["arm.q"].values, run.data["arm.dq"].values, run.time > 2
     assert np.min(np.minimum(q - LOWER, UPPER - q)) == pytest.approx(5.4e-3, abs=1e-4)
-    assert np.max(UPPER[0] - q[later, 0]) > 0.3  # it does move
+    assert np.max(UPPER[0] - q[later, 0]) > 0.3  # the robot moves
     d = dq - run.data["inverse.dq_c"].values
     assert 0.05 < np.max(abs(np.diff(d[later], axis=0))) / T < D
     assert 2 * D / (APPROACH * BANDWIDTH) <= MARGIN

@@ -1,4 +1,4 @@
-"""A reference that keeps joints within limits: its bounds, and the tube of its proof, against runs and by hand."""
+"""A reference that keeps joints within limits: its bounds, and the tube of its proof, compared with runs."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def limited(q: float, wish: float) -> float:
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(LOWER, UPPER), reals)
-def test_the_reference_is_never_beyond_its_bounds_whatever_is_wished(q: float, wish: float) -> None:
+def test_the_reference_is_within_its_bounds_for_any_desired_motion(q: float, wish: float) -> None:
     room = [UPPER - MARGIN - q, q - LOWER - MARGIN]
     found, rounding = limited(q, wish), 1e-9
     assert -min(SPEED, RATE * room[1]) - rounding <= found <= min(SPEED, RATE * room[0]) + rounding
     sharp = min(max(wish, -min(SPEED, RATE * room[1])), min(SPEED, RATE * room[0]))
-    assert abs(found - sharp) <= 2 * WIDTH  # and near to what sharp bounds would give
+    assert abs(found - sharp) <= 2 * WIDTH  # and close to the value for sharp bounds
 
 
 def tube_of(graph: dm.Graph) -> Tube | None:
@@ -69,7 +69,7 @@ def with_plant_faster(diagram: Diagram, factor: float) -> Diagram:
 
 
 def joint_graph(**changes: Any) -> dm.Graph:
-    """A planar arm that is to go beyond its first joint's limit, and is on its way there."""
+    """A planar arm whose path exceeds the limit of its first joint."""
     made: dict[str, Any] = {
         "dmframe": 1,
         "robot": "arm2",
@@ -97,7 +97,7 @@ def joint_graph(**changes: Any) -> dm.Graph:
 
 
 def spent_by_hand(graph: dm.Graph) -> float:
-    """V(0) of the planar arm, written out in NumPy; M is Pinocchio's."""
+    """V(0) of the planar arm, written in NumPy; M is Pinocchio's."""
     chain = load("arm2")
     q, dq = np.array([0.8, 0.5]), np.array([1.0, 0.0])
     block = block_types()["safe_reference"](lower=-2.0, upper=[1.2, 2.0], speed=2.0, approach=4.0)
@@ -109,7 +109,7 @@ def spent_by_hand(graph: dm.Graph) -> float:
     inertia = np.concatenate([model.inertias[k].toDynamicParameters() for k in (1, 2)])
     a_d_err = np.concatenate([0.2 * inertia, [1.0, 0.5]])
     K_P, K_I = np.array([60.0, 30.0]), np.array([240.0, 120.0])
-    i = -pin.computeGeneralizedGravity(model, model.createData(), q) / K_I  # the servo starts holding the arm
+    i = -pin.computeGeneralizedGravity(model, model.createData(), q) / K_I  # initially the servo compensates gravity
     ratios = np.sum((1 / K_P) ** 2 * K_P / 0.1 + (2 - K_I / K_P) ** 2 * K_P / 10)
     return float(s @ M @ s + a_d_err @ a_d_err / 10 + i @ (K_I * i) + ratios) / 2
 
@@ -123,11 +123,11 @@ def test_the_tube_of_an_arm_on_its_way_to_a_limit_is_that_by_hand_and_holds() ->
     np.testing.assert_allclose(tube.spent, spent, rtol=1e-9)
     by_hand = np.sqrt(spent / (2 * 4 * np.array([61.0, 30.5])))
     np.testing.assert_allclose(tube.reach, by_hand, rtol=1e-6)
-    np.testing.assert_allclose(tube.tube, tube.reach)  # it starts inside
+    np.testing.assert_allclose(tube.tube, tube.reach)  # inside at the start
     assert not tube.inside
     run = graph.run()
     passed = np.max(run.data["arm.q"].values, axis=0) - [1.2, 2.0]
-    assert 0 < passed[0] <= tube.reach[0]  # it does pass the limit, by less than the tube
+    assert 0 < passed[0] <= tube.reach[0]  # it exceeds the limit by less than the tube
     room = 1.2 - run.data["arm.q"].values[:, 0]
     time = run.data["time"].values
     assert np.all(room >= np.exp(-4 * time) * room[0] - tube.reach[0])
@@ -172,8 +172,8 @@ def test_where_v_may_rise_or_the_law_is_another_there_is_no_tube(monkeypatch: py
         monkeypatch.setattr(kind, "certificate", stated)
 
     for place, changed in (
-        (5, lambda rate, u: rate / 2),  # another rate than that of the law
-        (5, lambda rate, u: rate * (1 + u.q[0] ** 2)),  # one that moves
+        (5, lambda rate, u: rate / 2),  # a rate that differs from that of the law
+        (5, lambda rate, u: rate * (1 + u.q[0] ** 2)),  # a moving one
         (6, lambda width, u: -width),
         (4, lambda speed, u: 0 * speed),
         (3, lambda upper, u: upper - 0.1),
@@ -192,7 +192,7 @@ def test_on_a_robot_the_circle_stops_at_the_limit_and_the_whole_loop_is_stable()
     found = graph.verify()
     assert found.proved
     assert found.verdict.states is not None
-    assert not found.verdict.states.open  # q is bounded by its limits, and all else by q
+    assert not found.verdict.states.open  # q is bounded by its limits, and all other signals by q
     assert any(item.says.endswith("at all times") for item in found.conclusions)
     tube = tube_of(graph)
     assert tube is not None
@@ -200,7 +200,7 @@ def test_on_a_robot_the_circle_stops_at_the_limit_and_the_whole_loop_is_stable()
     q = run.data["arm.q"].values
     assert float(np.min(q[:, 0])) > 1.3
     error = np.linalg.norm(run.data["arm.x"].values - run.data["path.x_d"].values, axis=1)
-    assert float(np.max(error)) > 0.05  # it left the path for the limit
+    assert float(np.max(error)) > 0.05  # it left the path because of the limit
 
 
 def test_a_run_warns_of_a_command_beyond_the_robots_velocity_limits() -> None:

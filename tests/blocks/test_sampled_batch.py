@@ -1,4 +1,4 @@
-"""Runs of least squares, several at once; and the factors with which it computes."""
+"""Runs of least squares in a batch; and the factorisation that it uses."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def test_a_library_is_tried_at_states_with_moderate_results(
     trial = Trial.of(step, 1 + 0.01 * np.arange(8), after=1)
     results = [np.abs(item.full()).max() for run in range(8) for item in trial.tick(trial.states[:, run], run)]
     assert len(trial.given) == 2
-    assert np.finfo(float).eps * TAME < 1e-9  # the absolute tolerance, also of elements that are zero but for rounding
-    assert (max(results) < TAME) == (scales == SCALES)  # large random numbers are no positive definite matrix
+    assert np.finfo(float).eps * TAME < 1e-9  # the absolute tolerance, for elements that are zero up to rounding
+    assert (max(results) < TAME) == (scales == SCALES)  # large random numbers do not form a positive definite matrix
 
 
 def test_a_longer_share_of_the_period_is_taken_where_the_shorter_one_overflows(

@@ -1,4 +1,4 @@
-"""The sampled law by hand is held against what another prototype printed, and against mechanics without regressors."""
+"""The hand-written sampled law, compared with another prototype's output, and with mechanics without regressors."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_columns_are_those_of_the_inertia_matrix_of_coriolis_and_of_gravity(
 
 @dataclass
 class Knowing(SampledLaw):
-    """It has the true parameters, learns none, and keeps how wrong they are."""
+    """With the true parameters and without adaptation; records the equation errors."""
 
     wrong: list[Array] = field(default_factory=list)
     mutant: str = ""
@@ -78,13 +78,13 @@ def test_the_servo_averaged_over_a_sample_is_linear_in_its_true_constants(
 ) -> None:
     law = Knowing(ur10(), 0.02, tau=None, mutant=mutant)
     closed_loop(law, Plant(law.arm, START, K_D, K_P, K_I, step=2e-3), PATH, 60)
-    assert least <= np.max(np.abs(law.wrong[20:])) < most  # [rad/s], the start's quick transient apart
+    assert least <= np.max(np.abs(law.wrong[20:])) < most  # [rad/s], without the fast transient at the start
 
 
 def residuals(T: float) -> tuple[float, float]:
-    """The largest residuals [rad/s] with true parameters: as the law is, and with a centred momentum change.
+    """The largest residuals [rad/s] with true parameters: for the law, and with a centred difference of momentum.
 
-    The circle at 2 rad/s, without Coulomb friction, whose own mean over a sample is another question.
+    The circle at 2 rad/s, without Coulomb friction, whose mean over a sample is not considered here.
     """
     arm = ur10()
     arm.D = 0 * arm.D

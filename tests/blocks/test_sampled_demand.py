@@ -1,4 +1,4 @@
-"""What a supervisor lets a servo ask for: by hand, and where a drive ends."""
+"""Limits of the torque demand by a supervisor: by hand, and at the end of a drive's range."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PER_LAG = 1 + K_P * T / 2 + K_I * T**2 / 4
 
 
 def weak(delay: int, **values: Any) -> Run:
-    """The drive of the second joint gives 75 N m, where the path wants 81."""
+    """The drive of the second joint provides 75 N m, and the path requires 81."""
     delays = {f"{name}.delay": delay for name in ("task", "inverse", "column", "supervisor")}
     late = {"transport_delay": {"samples": 1}} if delay else {}
     graph = dm.load("ur10_slow_supervised").set({**delays, **{f"supervisor.{k}": v for k, v in values.items()}})
@@ -26,7 +26,7 @@ def weak(delay: int, **values: Any) -> Run:
 
 
 def by_hand(recorded: Any, delay: int, *, forgets: bool = True) -> np.ndarray:
-    """What may be sent at each sample, lowest and highest, of what the run shows of the samples before."""
+    """Interval of allowed commands at each sample, from the run's previous samples."""
     lag, used, sent = (recorded[f"{name}"] for name in ("column.lag", "supervisor.epsilon_used", "supervisor.dq_sent"))
     q, withheld = recorded["arm.q"], recorded["supervisor.withheld"]
     lead, total, cut = np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool)
@@ -55,7 +55,7 @@ def test_commands_are_cut_off_where_by_hand_they_are(run: tuple[int, Run]) -> No
     sent, wished = recorded["supervisor.dq_sent"], recorded["supervisor.dq_sent"] + recorded["supervisor.withheld"]
     cut = recorded["supervisor.withheld"] != 0
     assert np.sum(cut) > 20
-    assert not np.any(cut[:, [0, 2]])  # joints whose drives suffice are not held back
+    assert not np.any(cut[:, [0, 2]])  # joints with sufficient drives are not limited
 
     def off(bounds: np.ndarray) -> float:
         expected = np.clip(np.clip(wished, bounds[:, 0], bounds[:, 1]), -3, 3)
@@ -70,7 +70,7 @@ def test_commands_are_cut_off_where_by_hand_they_are(run: tuple[int, Run]) -> No
 def test_so_the_servo_does_not_wind_up_and_the_run_gives_the_reason(run: tuple[int, Run]) -> None:
     _, found = run
     assert found.error is not None
-    assert np.max(found.error.norm[found.time > 2]) < 0.14  # [m], of a tool that the drive lets down
+    assert np.max(found.error.norm[found.time > 2]) < 0.14  # [m], for a tool with an insufficient drive
     assert any("does not follow its command" in notice for notice in found.recording.notices)
 
 
@@ -85,7 +85,7 @@ def test_where_a_drive_suffices_nothing_is_cut_off() -> None:
     assert rms(np.asarray(found["arm.x"] - found["path.x_d"])) < 0.1
 
 
-def test_without_a_bound_the_block_has_nothing_to_remember() -> None:
+def test_without_a_bound_the_block_has_fewer_states() -> None:
     block = block_types()["sampled_supervisor"]
     given = {
         name: np.zeros(3) for name in ("q", "dq_r", "dq_column", "dq_full", "q_column", "q_full", "lag", "epsilon")

@@ -1,4 +1,4 @@
-"""Laws that learn from the target which the robot reports: what acted is then known, whatever became of commands."""
+"""Laws that use the robot's reported target: the applied command is then known, for any channel."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_where_commands_arrive_as_they_were_sent_an_echo_changes_nothing() -> No
     runs = [graph.run("6 s", progress=False, engine="interpreted") for graph in graphs]
     poses = [run.recording["arm.q"] for run in runs]
     np.testing.assert_allclose(poses[1], poses[0], atol=1e-10)
-    assert np.max(np.abs(poses[2] - poses[0])) > 1e-4  # what is not the target is found out
+    assert np.max(np.abs(poses[2] - poses[0])) > 1e-4  # a signal that is not the target is detected
 
 
 @pytest.mark.parametrize("name", ["sampled_inverse", "disturbance_observer"])
@@ -71,7 +71,7 @@ def test_what_is_estimated_is_as_if_the_command_that_was_echoed_had_been_sent(na
 def test_a_random_delay_is_then_borne_by_the_law_alone() -> None:
     run = with_echo(delay=1).reality(LATE).run("60 s", progress=False)
     assert run.error is not None
-    assert run.error.rms_final < 2.5e-3  # [m]; without an echo it has 30 times as much, and grows
+    assert run.error.rms_final < 2.5e-3  # [m]; without an echo the error is 30 times as large, and grows
     assert np.max(run.error.norm[run.time > 2]) < 8e-3
 
 

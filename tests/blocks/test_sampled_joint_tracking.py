@@ -1,4 +1,4 @@
-"""Reference for a path of the joints over samples: its law by hand, and the gain from margins."""
+"""Reference for a joint path in discrete time: its law by hand, and the gain from margins."""
 
 from __future__ import annotations
 

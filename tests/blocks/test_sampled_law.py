@@ -1,4 +1,4 @@
-"""The sampled law's blocks: against the same law by hand, tick by tick, and what each of their guards is for."""
+"""The sampled law's blocks: compared with the hand-written law sample by sample, and the effect of each guard."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SERVO = averaged_servo(ARM, "pid", frozenset(("viscous", "coulomb")))
 
 
 class Line(AbstractBlock):
-    """Hands on each command some samples late."""
+    """Delays each command by some samples."""
 
     side = Side.PLANT
     inputs = (Input("dq_c", "n", "rad/s"),)
@@ -68,7 +68,7 @@ def run(
     start: Mapping[str, Any] | None = None,
     engine: Any = "interpreted",
 ) -> Recording:
-    """A packaged graph, its commands late by a delay, which it assumes unless `assumed` is given, its pose in steps."""
+    """A packaged graph with delayed commands, configured delay (`assumed`, or the true one), and quantised pose."""
     graph = Graph.read(name, list(overrides))
     blocks, wires = dict(graph.blocks), dict(graph.file.wires)
     if delay:
@@ -92,7 +92,7 @@ def by_hand(law: SampledLaw, ticks: int) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(("tau", "average", "stride"), [(2.0, 1, 1), (None, 1, 1), (2.0, 3, 2)])
-def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, average: int, stride: int) -> None:
+def test_tick_by_tick_it_equals_the_law_by_hand(tau: float | None, average: int, stride: int) -> None:
     ticks = 40
     law = SampledLaw(ur10(), T, tau=tau, average=average, stride=stride)
     hand = by_hand(law, ticks)
@@ -101,15 +101,15 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
     for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
         found = error(mine) if label is None else mine[label]
         np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
-    # the hand keeps what it has learnt at a tick, a state what it had before; columns of zeros, which the block leaves
-    # out, learn nothing
+    # the hand-written law stores new estimates at a sample, a state the old ones; zero columns, which the block
+    # omits, are not adapted
     learnt = mine["inverse.theta"][ticks]
     for i, part in enumerate(SERVO.joints):
         np.testing.assert_allclose(learnt[part][[0, 1, 2, -2, -1]], hand["theta"][-1, i, [0, 1, 2, -2, -1]], atol=1e-7)
         np.testing.assert_allclose(np.linalg.norm(learnt[part]), np.linalg.norm(hand["theta"][-1, i]), rtol=1e-6)
 
 
-def test_with_six_joints_each_with_a_guess_of_its_own_it_does_what_the_law_by_hand_does() -> None:
+def test_with_six_joints_and_a_w_0_for_each_it_equals_the_law_by_hand() -> None:
     graph = Graph.read("ur10_full_sampled", ["task.damping=0"])
     maker, arm, ticks = graph.blocks["servo"], graph.blocks["arm"], 12
     hand_arm = Arm.load(str(find_robot("ur10").urdf), "ee_link", {}, arm.viscous, arm.coulomb)  # type: ignore[attr-defined]
@@ -139,8 +139,8 @@ def test_a_redundant_robot_tracks_as_well_and_keeps_its_posture() -> None:
 
 
 @pytest.mark.parametrize(("average", "retention", "inertia"), [(1, 0.98, 20.0), (2, 1.0, 0.5)])
-def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, retention: float, inertia: float) -> None:
-    """Also where faces of the box are met, and where one leads out of another."""
+def test_by_least_squares_it_equals_the_law_by_hand(average: int, retention: float, inertia: float) -> None:
+    """Also for points on faces of the box, and for a projection that leaves another face."""
     ticks = 40
     law = LeastSquaresLaw(ur10(), T, average=average, retention=retention, heaviest=inertia)
     hand = by_hand(law, ticks)
@@ -163,17 +163,17 @@ def test_that_agreement_would_miss_a_law_with_another_memory() -> None:
 
 
 @pytest.mark.parametrize("delay", [1, 2])
-def test_behind_a_delay_it_does_what_the_law_by_hand_does(delay: int) -> None:
+def test_behind_a_delay_it_equals_the_law_by_hand(delay: int) -> None:
     ticks = 40
     hand = by_hand(SampledLaw(ur10(), T, delay=delay), ticks)
     mine = run(SLOW, ticks * T, "task.damping=0", delay=delay)
-    np.testing.assert_allclose(mine["line.dq_late"][:ticks], hand["u"], atol=3e-4)  # Newton's steps are not the same
+    np.testing.assert_allclose(mine["line.dq_late"][:ticks], hand["u"], atol=3e-4)  # Newton's steps differ
     np.testing.assert_allclose(mine["arm.q"][:ticks], hand["q"], atol=1e-4)
     unknown = run(SLOW, ticks * T, "task.damping=0", delay=delay, assumed=delay - 1)
     assert np.max(np.abs(unknown["arm.q"][:ticks] - hand["q"])) > 3e-3
 
 
-def test_the_observer_does_what_that_by_hand_does() -> None:
+def test_the_observer_equals_that_by_hand() -> None:
     for delay in (0, 1, 2):
         hand = by_hand(Observer(ur10(), T, delay=delay), 40)
         mine = run("ur10_slow_observer", 40 * T, "task.damping=0", delay=delay)
@@ -239,7 +239,7 @@ def states(**values: Any) -> dict[str, Any]:
 
 
 def heavy(scale: float) -> np.ndarray:
-    """Parameters with the robot's own inertia, times a scale, and the start's gains."""
+    """Parameters with the robot's own inertia, times a scale, and the initial gains."""
     theta = np.zeros(SERVO.size)
     names = [element.name for element in SERVO.elements]
     inertial = [element.name for element in DynamicParameters(ARM).elements]
@@ -255,10 +255,10 @@ def heavy(scale: float) -> np.ndarray:
 def test_where_the_momentum_is_no_safe_slope_it_is_left_out_of_the_command() -> None:
     given = {"q": START, "dq_r": [0.1, 0.2, -0.1], "T": 0.02}
     found = {scale: inverse().evaluate(given, states(theta=heavy(scale)), robot=ARM) for scale in (1.0, -3.0, 300.0)}
-    # M/(800 T) of the UR10 is about 1: safe; times -3 it is no slope upwards, times 300 steeper than 4
+    # M/(800 T) of the UR10 is about 1: safe; times -3 the slope is not positive, times 300 it exceeds 4
     assert [float(values.outputs["guarded"]) for values in found.values()] == [0.0, 1.0, 1.0]
     steady = inverse().evaluate(given, states(theta=heavy(-3.0), plans=np.array([[0.1], [0.2], [-0.1]])), robot=ARM)
-    np.testing.assert_allclose(steady.outputs["dq_c"], found[-3.0].outputs["dq_c"])  # whatever was planned before
+    np.testing.assert_allclose(steady.outputs["dq_c"], found[-3.0].outputs["dq_c"])  # for any previous plan
     moved = inverse().evaluate(given, states(theta=heavy(1.0), plans=np.array([[0.1], [0.2], [-0.1]])), robot=ARM)
     assert np.max(np.abs(moved.outputs["dq_c"] - found[1.0].outputs["dq_c"])) > 0.05
 
@@ -276,7 +276,7 @@ def test_a_joint_whose_command_was_clipped_is_not_adapted_with_that_sample() -> 
     assert changed == [True, False, True]
     assert not np.any(learnt["rows"][0, SERVO.joints[1]])
     first = inverse().evaluate(moved, states(queue=queue, theta=heavy(1.0), count=0.0), robot=ARM).next
-    np.testing.assert_allclose(first["theta"], heavy(1.0), atol=1e-12)  # before the first sample nothing is known
+    np.testing.assert_allclose(first["theta"], heavy(1.0), atol=1e-12)  # no data before the first sample
 
 
 def test_each_joint_has_its_own_initial_estimate() -> None:
@@ -307,7 +307,7 @@ def test_with_time_stamps_a_sample_that_is_over_was_as_long_as_it_was(name: str)
 
     stamped, right, wrong = after(T, t_before=now - 0.08), after(0.08), after(T)
     assert stamped["t_before"] == now
-    # what is learnt from the sample that is over; the command is for one that lasts T
+    # the update uses the sample that has ended; the command is for one of length T
     past = {"lag"} if name == "disturbance_observer" else {"theta", "rows", "goals", "z", "psi_slow", "y_slow"}
     for label in past:
         np.testing.assert_allclose(stamped[label], right[label], atol=1e-12, err_msg=label)
@@ -339,7 +339,7 @@ def test_what_a_row_teaches_never_raises_the_storage_but_by_its_residual() -> No
         after = SERVO.projected(ca.DM(theta), ca.DM(h), ca.DM(sums), ca.DM(Gamma), nu)
         allowed = sum(eta**2 / weight for weight in weights)
         assert storage(after) <= storage(theta) + allowed
-        # a gain of 2.5 in place of one below 1 breaks it
+        # a gain of 2.5 instead of one below 1 makes it unstable
         beyond = theta + 2.5 * (np.asarray(after).ravel() - theta)
         assert storage(beyond) > storage(theta) + (allowed if eta == 0 else -np.inf)
 
@@ -357,7 +357,7 @@ def test_the_task_law_takes_the_tool_to_its_goal_at_the_end_of_the_sample() -> N
         v = task.evaluate({"q_start": q, **path}, robot=ARM).outputs["dq_r"]
         np.testing.assert_allclose(arm.position(q + T * v), expected, atol=1e-7)
     straight = BLOCKS["sampled_tracking"](gamma=1.0).evaluate({"q_start": [START[0], START[1], 0.0], **path}, robot=ARM)
-    assert np.all(np.abs(straight.outputs["dq_r"]) < 50)  # a stretched arm: the damping keeps it slow
+    assert np.all(np.abs(straight.outputs["dq_r"]) < 50)  # a stretched arm: the damping limits its velocity
     for wrong in ({}, {"gamma": 1.0, "Lambda": 3.0}):
         with pytest.raises(
             DmframeError, match="expected one of gamma, by J', and Lambda or gain_margin, by the inverse of J"

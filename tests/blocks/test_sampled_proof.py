@@ -1,4 +1,4 @@
-"""The sampled law's certificate: proved with both servos, and refuted where a law or a regressor is another."""
+"""The sampled law's certificate: proved with both servos, and refuted for a changed law or regressor."""
 
 from __future__ import annotations
 
@@ -120,14 +120,14 @@ def _remembering(self: LeastSquares, theta: Any, G: Any, left: Any, right: Any, 
 
 
 def _above_its_start(self: LeastSquares, x: Any, h: Any, g: Any, by: Any) -> Any:
-    """W is forgotten together with its start, so that P grows beyond Gamma."""
-    theta, kept = _learnt(self, x, h, g, by)
+    """W is forgotten together with its initial value, so that P exceeds Gamma."""
+    theta, kept = _updated(self, x, h, g, by)
     G = ca.SX(kept["gathered"])
     G[0] -= (1 - by.retention) / by.gain[0]
     return theta, {"gathered": G}
 
 
-_put_back, _learnt = LeastSquares.put_back, LeastSquares.learnt
+_put_back, _updated = LeastSquares.put_back, LeastSquares.updated
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ _put_back, _learnt = LeastSquares.put_back, LeastSquares.learnt
         ("step", _away_by_squares, "theta"),
         ("put_back", _clipped, "theta"),
         ("put_back", _remembering, "gathered"),
-        ("learnt", _above_its_start, "gathered"),
+        ("updated", _above_its_start, "gathered"),
     ],
 )
 def test_another_least_squares_is_refuted(name: str, law: Any, state: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,7 +168,7 @@ def test_the_manufacturers_gravity_compensation_needs_columns_of_its_own() -> No
     assert _says(verdict(arm={"maker_gravity": 0.5})) == "inverse: what the plant's motion obeys"
 
 
-def test_of_a_pi_servo_as_a_pid_one_is_nothing_to_be_proved() -> None:
+def test_a_pi_servo_declared_as_pid_is_not_proved() -> None:
     found = verdict(PI, servo="pid")
     assert found.outcome == "not_applicable"
     assert "K_D" in found.reason

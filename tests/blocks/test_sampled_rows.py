@@ -1,4 +1,4 @@
-"""Rows of a sampled estimator against motions of its plant: honest ones are explained, and no lie is proved."""
+"""Rows of a sampled estimator compared with motions of its plant: correct rows are explained, false ones refuted."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_command_that_the_plant_changes_is_not_what_acted() -> None:
 
 
 def sampled(change: Callable[[SampledInverse, Any, LastSample], LastSample]) -> dict[str, Any]:
-    """The last sample with its command, v, psi and y changed; both sides are then filtered as they should be."""
+    """The last sample with its command, v, psi and y changed; both sides are then filtered correctly."""
     honest = SampledInverse._last
 
     def lying(self: SampledInverse, u: Any, x: Any, p: Any) -> LastSample:
@@ -103,7 +103,7 @@ def sampled(change: Callable[[SampledInverse, Any, LastSample], LastSample]) -> 
 
 
 def column(k: int, value: Callable[[Any], Any]) -> dict[str, Any]:
-    """Another column of that number in the rows of all joints."""
+    """The column with this number in the rows of all joints replaced."""
 
     def change(self: SampledInverse, x: Any, last: LastSample) -> LastSample:
         psi = ca.SX(last.psi)
@@ -134,7 +134,7 @@ def one_side(self: SampledInverse, u: Any, x: Any, p: Any) -> LastSample:
 
 
 def regressors(momentum: float, kinetic: float, gravity: float) -> dict[str, Any]:
-    """`Response.row` with shares of its three regressors."""
+    """`Response.row` with factors of its three regressors."""
 
     def row(self: Response, start: Any, v: Any, command: Any, T: Any, used: Any = 1) -> Any:
         robot, m = self.robot, start.q + T * v / 2
@@ -146,7 +146,7 @@ def regressors(momentum: float, kinetic: float, gravity: float) -> dict[str, Any
 
 
 def instead_of_acceleration(self: Response, start: Any, v: Any, command: Any, T: Any, used: Any = 1) -> Any:
-    """The momentum regressor of the velocity, not of its change."""
+    """The momentum regressor of the velocity instead of its change."""
     robot, m = self.robot, start.q + T * v / 2
     Y = used * robot.momentum_regressor(m, v) - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
     return pid_row(self, start, m, v, command, T, Y)
@@ -159,19 +159,19 @@ def pid_row(self: Response, start: Any, m: Any, v: Any, command: Any, T: Any, Y:
 
 
 def other_joint(self: RowMeans, x: Any, row: Any, goal: Any) -> tuple[Any, Any, dict[str, Any]]:
-    """The rows of all joints with the answer of another joint."""
+    """The rows of all joints with the output of another joint."""
     row, goal, kept = MEANT(self, x, row, goal)
     return row, ca.vertcat(goal[1:], goal[0]), kept
 
 
 def stored_elsewhere(self: Projection, x: Any, h: Any, g: Any) -> Any:
-    """Stored with the answer of another joint, and so learnt from again."""
+    """Rows stored with the output of another joint, and used again in the update."""
     lines = KEPT(self, x, h, g)
     return (lines[0], replace(lines[1], newest=ca.horzcat(lines[1].newest[1:], lines[1].newest[0])))
 
 
-def learnt_elsewhere(self: Projection, x: Any, h: Any, g: Any, by: Any) -> Any:
-    theta, kept = LEARNT(self, x, h, g, by)
+def updated_elsewhere(self: Projection, x: Any, h: Any, g: Any, by: Any) -> Any:
+    theta, kept = UPDATED(self, x, h, g, by)
     return theta, {**kept, "goals": self._stored(x, x.goals, ca.vertcat(g[1:], g[0]))}
 
 
@@ -180,7 +180,7 @@ def before(self: SampledInverse, x: Any, last: LastSample) -> LastSample:
 
 
 LAST, MEANT = SampledInverse._last, RowMeans.after
-KEPT, LEARNT = Projection.kept, Projection.learnt
+KEPT, UPDATED = Projection.kept, Projection.updated
 
 LIES: dict[str, dict[Any, dict[str, Any]]] = {
     "y negated": {SampledInverse: sampled(lambda self, x, last: replace(last, y=-last.y))},
@@ -196,7 +196,7 @@ LIES: dict[str, dict[Any, dict[str, Any]]] = {
     "friction of the other sign": {SampledInverse: column(-1, lambda of: -of)},
     "drag of the other sign": {SampledInverse: column(-2, lambda of: -of)},
     "rows of another joint": {RowMeans: {"after": other_joint}},
-    "stored rows of another joint": {Projection: {"kept": stored_elsewhere, "learnt": learnt_elsewhere}},
+    "stored rows of another joint": {Projection: {"kept": stored_elsewhere, "updated": updated_elsewhere}},
     "one side filtered": {SampledInverse: {"_last": one_side}},
 }
 

@@ -1,4 +1,4 @@
-"""The supervisor of the sampled law: against one by hand, and where the law alone would fail."""
+"""The supervisor of the sampled law: compared with a hand-written one, and for faults that make the law fail."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.sampled_supervisor import SampledSupervisor
 
-KINEMATIC_LATE = 1.6  # [mm] of the kinematic command with the same task law behind a sample of delay, after 100 s
+KINEMATIC_LATE = 1.6  # [mm] with the kinematic command, the same task law and one sample of delay, after 100 s
 
 
 class Line(AbstractBlock):
-    """Hands on each command some samples late, or, by a toss, one more."""
+    """Delays each command by some samples, or, at random, by one more."""
 
     side = Side.PLANT
     inputs = (Input("dq_c", "n", "rad/s"), Input("toss", drawn="uniform"))
@@ -43,7 +43,7 @@ class Line(AbstractBlock):
 
 
 class VelocityServo(AbstractBlock):
-    """Holds velocities and no position: gravity pulls the robot down."""
+    """A servo without position control: gravity pulls the robot down."""
 
     side = Side.PLANT
     inputs = (Input("dq", "n", "rad/s"), Input("dq_c", "n", "rad/s"))
@@ -56,7 +56,7 @@ class VelocityServo(AbstractBlock):
 def run(
     duration: float, *, assumed: int = 0, line: Line | None = None, servo: AbstractBlock | None = None, seed: int = 0
 ) -> Recording:
-    """The packaged graph, configured for a delay, with a line that need not be as long."""
+    """The packaged graph, configured for a delay, with a delay line that may have another length."""
     delays = [f"{name}.delay={assumed}" for name in ("task", "inverse", "column", "supervisor")]
     graph = Graph.read("ur10_slow_supervised", delays)
     blocks, wires = dict(graph.blocks), dict(graph.file.wires)
@@ -83,7 +83,7 @@ def last(recorded: Recording, name: str) -> float:
 
 
 class Supervised(SampledLaw):
-    """All columns and one column side by side, and neither: all learn from what is sent, one of them sends."""
+    """All columns, one column, and neither in parallel: all adapt from the sent commands, one of them sends."""
 
     def begin(self, q: Array) -> None:
         super().begin(q)
@@ -122,7 +122,7 @@ class Supervised(SampledLaw):
         return self.sent[0]
 
     def choose(self) -> None:
-        """Smallest windowed maximum, hysteresis, trip, and a rest that doubles."""
+        """Smallest windowed maximum, hysteresis, trip, and a waiting time that doubles."""
         worst = np.max(self.seen, axis=0)
         if self.chosen and self.seen[-1][self.chosen] > (2 * self.scale) ** 2:
             self.dwell *= 2
@@ -141,11 +141,11 @@ class Supervised(SampledLaw):
 
 
 @pytest.mark.parametrize(("assumed", "real"), [(0, 0), (1, 1), (0, 1)])
-def test_tick_by_tick_it_does_what_one_by_hand_does(assumed: int, real: int) -> None:
+def test_tick_by_tick_it_equals_one_by_hand(assumed: int, real: int) -> None:
     ticks = 110
     law = Supervised(ur10(), T, delay=assumed, Lambda=3.0)
     plant = Plant(law.arm, START, K_D, K_P, K_I)
-    if real > assumed:  # the plant gets each command a sample later than the law thinks
+    if real > assumed:  # each command reaches the plant a sample later than configured
         advance, waiting = plant.advance, [np.zeros(3)]
 
         def late(dq_c: Array, T: float) -> Array:
@@ -158,13 +158,13 @@ def test_tick_by_tick_it_does_what_one_by_hand_does(assumed: int, real: int) -> 
     np.testing.assert_array_equal(mine["supervisor.predictor"][:ticks].ravel(), law.choices)
     assert set(law.choices) == ({0, 1} if real > assumed else {0, 1, 2})
     np.testing.assert_allclose(mine["arm.q"][:ticks], hand["q"], atol=2e-5 if assumed or real else 1e-5)
-    # what both learn from is what was sent
+    # both adapt from the command that was sent
     for name in ("inverse", "column"):
         np.testing.assert_array_equal(mine[f"{name}.queue"], mine["supervisor.sent"])
     assert (last(mine, "supervisor.trips") > 0) == (real > assumed)
 
 
-def test_where_the_law_is_right_it_costs_nothing() -> None:
+def test_where_the_law_is_right_the_supervisor_has_no_effect() -> None:
     found = run(100.0)
     assert rms(error(found)) < 0.032
     assert last(found, "supervisor.trips") == 0
@@ -177,7 +177,7 @@ def test_a_delay_that_is_not_configured_is_no_worse_than_the_kinematic_command()
     assert peak(found) < 6
     trips = np.flatnonzero(np.asarray(found["supervisor.tripped"]).ravel())
     assert trips.size >= 3
-    assert np.all(T * np.diff(trips) > 4 * 2.0 ** np.arange(trips.size - 1))  # ever more rarely
+    assert np.all(T * np.diff(trips) > 4 * 2.0 ** np.arange(trips.size - 1))  # at increasing intervals
 
 
 def test_a_delay_that_changes_at_random_is_no_worse_than_the_kinematic_command() -> None:
@@ -190,7 +190,7 @@ def test_of_a_servo_without_a_position_the_one_column_takes_care() -> None:
     found = run(40.0, servo=VelocityServo())
     assert rms(error(found)) < 1
     assert last(found, "supervisor.predictor") == 1
-    assert peak(found) < 120  # in the two seconds in which none commands
+    assert peak(found) < 120  # in the two seconds without a selected law
 
 
 def _stuck(stated: Any) -> Any:

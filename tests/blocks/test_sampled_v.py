@@ -1,4 +1,4 @@
-"""V of the sampled law along a run: against NumPy, against faults, and the report where an assumption fails."""
+"""V of the sampled law along a run: compared with NumPy, with faults, and the report if an assumption fails."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PI = {"type": "pi_servo", "K_P": [60, 30], "K_I": [120, 60]}
 
 @dataclass
 class Watched(SampledLaw):
-    """The law by hand, which keeps its estimates and the rows of each sample."""
+    """The hand-written law, which stores its estimates and the rows of each sample."""
 
     estimates: list[Array] = field(default_factory=list)
     rows: list[list[tuple[Array, Array]]] = field(default_factory=list)
@@ -48,7 +48,7 @@ def run_of(data: dict[str, Any], *overrides: tuple[str, Any]) -> dm.Run:
 
 
 def along_of(run: dm.Run, **changed: Any) -> StorageTrace:
-    """V along a run whose recording was changed."""
+    """V along a run with a modified recording."""
     recording = replace(run.recording, **changed)
     return claimed_along(recording, {}, run.graph.start)[1]
 
@@ -83,7 +83,7 @@ def test_v_its_constants_and_its_residual_are_those_of_numpy(tau: float | None) 
 
     graph = dm.load("ur10_slow_sampled").set({"task.damping": 0, "inverse.filtered": tau is not None})
     mine = graph.run(f"{(TICKS - 1) * T} s", judge=False)
-    # the tick k + 1 of the law by hand is its k-th that learns
+    # sampling instant k + 1 of the hand-written law is its k-th update
     np.testing.assert_allclose(np.asarray(mine["V"])[1:], V, rtol=1e-6)
     np.testing.assert_allclose(np.asarray(mine["V_residual"])[1:], allowed, rtol=2e-3, atol=1e-8)
     np.testing.assert_allclose(mine.storage.along.constants["inverse.offset"], true[:, 2], rtol=1e-4, atol=1e-7)
@@ -116,7 +116,7 @@ def test_v_rises_at_no_sample_by_more_than_its_claim_allows(inverse: dict[str, A
     assert found.beyond == 0
     assert np.all(np.diff(run["V"]) <= np.asarray(run["V_residual"])[:-1] + 1e-6 * np.asarray(run["V"])[:-1])
     assert found.notes == ()
-    assert np.abs(found.steps).max() > 1e-3  # it moves
+    assert np.abs(found.steps).max() > 1e-3  # the robot moves
 
 
 def test_an_update_of_the_wrong_sign_and_one_that_is_too_long_are_seen(short: dm.Run) -> None:
@@ -178,7 +178,7 @@ def test_a_run_that_does_not_keep_every_sample_has_no_v_and_gives_the_reason() -
 
 
 def test_a_constant_that_no_sample_determines_is_named() -> None:
-    run = run_of(arm2(u_max=1e-6))  # each command is clipped, and nothing is learnt
+    run = run_of(arm2(u_max=1e-6))  # each command is clipped, and the estimates are constant
     (note,) = run.storage.along.notes
     assert note.startswith("no sample of the run determines inverse.offset[1] and inverse.offset[2]")
     assert note in run.storage.notice

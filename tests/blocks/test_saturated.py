@@ -1,4 +1,4 @@
-"""A feedback that saturates: its law by hand, its reach, and what is proved of it on a robot."""
+"""A saturated feedback: its law by hand, its bound, and its proof on a robot."""
 
 from __future__ import annotations
 

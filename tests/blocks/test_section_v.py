@@ -1,4 +1,4 @@
-"""The experiments of Section V over their whole 200 s: the figures that the documentation quotes."""
+"""The experiments of Section V over 200 s: the figures that the documentation quotes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RMS = {  # [mm], norm of the task error over the last eighth
     "ur10_slow_tied_position": 6.43,
     "ur10_slow_tuned": 1.62,
 }
-OTHERS = {  # what a graph's comment says of the form or gains that it does not have
+OTHERS = {  # the comment of a graph on the form or gains that it does not use
     ("ur10_fast_tuned", "inverse.tie=velocity"): 0.671,
     ("ur10_fast_tuned", "inverse.tie=velocity", "inverse.K_c=0.3"): 0.328,
     ("ur10_slow_tuned", "inverse.tie=velocity"): 2.54,

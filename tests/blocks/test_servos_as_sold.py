@@ -1,4 +1,4 @@
-"""Servos with a model of the robot, friction by load and a sampled cascade: by SciPy on the textbook's arm."""
+"""Servos with a robot model, load-dependent friction and a sampled cascade: compared with SciPy on a textbook arm."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def accelerated(q: Array, dq: Array, torque: Array) -> Array:
 
 
 def followed(rate: Callable[..., Array], state: Array, commands: Array, samples: int = 100) -> Array:
-    """The joint angles at the samples, by an integrator that holds the commands."""
+    """The joint angles at the samples, by an integrator with held commands."""
     found = [state[:2]]
     for dq_c in commands[:samples]:
         state = scipy.integrate.solve_ivp(rate, (0, T), state, "LSODA", args=(dq_c,), rtol=1e-10, atol=1e-12).y[:, -1]
@@ -53,7 +53,7 @@ def followed(rate: Callable[..., Array], state: Array, commands: Array, samples:
 def test_a_servo_with_a_share_of_a_models_torque_moves_as_in_scipy(
     share: float, off: tuple[float, float], tmp_path: Path
 ) -> None:
-    """The integrator holds, at the start, what the model leaves of gravity; its links are heavier or lighter."""
+    """Initially the integrator compensates the gravity that the model leaves; the links are heavier or lighter."""
     block = f"  model: {{type: model_compensation, share: {share}, off: {list(off)}, smoothing: 6 ms}}\n"
     run = graph(tmp_path, PID, block).run()
     commands, q = run["command.dq_c"].values, run["arm.q"].values
@@ -111,7 +111,7 @@ def test_friction_grows_with_the_motors_torque_as_in_scipy(tmp_path: Path) -> No
 
 
 def sampled(commands: Array, q: Array, cycle: float, samples: int = 150) -> Array:
-    """The cascade as makers program it: in each cycle one reading, one update, and a torque that is held."""
+    """The cascade as programmed by manufacturers: per cycle one reading, one update, and a held torque."""
     found, dq, q_c, xi = [q], np.zeros(2), q, closed_form.gravity_torque(q) / K_I
 
     def rate(_: float, y: Array, torque: Array) -> Array:
@@ -130,7 +130,7 @@ def sampled(commands: Array, q: Array, cycle: float, samples: int = 150) -> Arra
 
 
 def test_a_cycle_is_approximately_the_cascade_that_holds_its_torque(tmp_path: Path) -> None:
-    """p_pi_servo is continuous: the test bounds what its `cycle` leaves of the difference to the sampled servo."""
+    """p_pi_servo is continuous: the test bounds its difference from the sampled servo with this `cycle`."""
     left = {}
     for option in ("", ", cycle: 1 ms", ", torque_lag: 0.5 ms"):
         run = graph(tmp_path, f"{CASCADE}{option}}}", solver="solver: {method: rk4, step: 0.2 ms}\n").run()
@@ -141,4 +141,4 @@ def test_a_cycle_is_approximately_the_cascade_that_holds_its_torque(tmp_path: Pa
     assert whole == pytest.approx(350e-6, rel=0.05)
     assert left[", cycle: 1 ms"][0] < whole / 5
     assert left[", cycle: 1 ms"][1] < late / 20
-    assert left[", torque_lag: 0.5 ms"][0] > whole  # the command itself acts at once
+    assert left[", torque_lag: 0.5 ms"][0] > whole  # the command has a direct effect

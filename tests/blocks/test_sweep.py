@@ -1,4 +1,4 @@
-"""What every block of the catalogue and every packaged graph keeps."""
+"""Properties of every block of the catalogue and of every packaged graph."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BLOCKS = block_types()
 GRAPHS = sorted(graphs())
 LETTERS = set("nmpkhcdrWANGEHFwC")
 
-# blocks that no packaged graph uses run in one of these
+# blocks that no packaged graph uses are run in one of these
 EXAMPLES = {
     "setpoint": """
 dmframe: 1
@@ -75,6 +75,11 @@ EXAMPLES["sampled_joint_tracking"] = (
     .replace("known_tracking, gamma: 1", "sampled_joint_tracking, gain_margin: 3")
     .replace("kinematic_command", "disturbance_observer, alpha: 0")
 )
+EXAMPLES["joint_waypoints"] = EXAMPLES["sampled_joint_tracking"].replace(
+    "waypoints, times: [0, 1], q_d: [[0.5, 0.9], [0.02, 1.41]]",
+    "joint_waypoints, times: [0, 0.5, 1], q_d: [[0.5, 0.9], [0.3, 1.1], [0.02, 1.41]], "
+    "dq_d: [[0, 0], [-0.4, 0.5], [0, 0]], after: returns",
+)
 EXAMPLES["force_sensor"] = (
     EXAMPLES["setpoint"]
     + "  wall:     {type: wall, point: [0, 0.45], normal: [0, -1], stiffness: 100}\n"
@@ -111,7 +116,7 @@ wires:
 EXAMPLES["gripper"] = EXAMPLES["reset_compensator"]
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
-# no proof in continuous time reaches what stands between controller and robot
+# no proof in continuous time includes channel models between controller and robot
 UNPROVED = {
     "kinematic_command",
     "velocity_probe",
@@ -123,7 +128,7 @@ UNPROVED = {
     "extended_state_observer",
     "path_pace",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
-} - {"joint_stops"}  # which may only tell
+} - {"joint_stops"}  # which may only print
 
 
 def types_in(file: Path) -> set[str]:
@@ -221,4 +226,4 @@ def test_a_packaged_graph_builds_and_stays_finite(name: str) -> None:
     assert run.divergence is None
     assert run.time[-1] == pytest.approx(2.0, abs=0.1)
     assert all(np.all(np.isfinite(rows)) for rows in (*run.states.values(), *run.outputs.values()))
-    assert np.ptp(run["arm.q"], axis=0).max() > 1e-3  # something moves
+    assert np.ptp(run["arm.q"], axis=0).max() > 1e-3  # a signal changes

@@ -1,4 +1,4 @@
-"""The theorems' graphs, run to the end, against what each theorem says; and the certificates, on every robot."""
+"""The theorems' graphs, simulated to the end and compared with each theorem; and the certificates on every robot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dmframe.simulate import Recording, simulate
 
 THEOREMS = ("theorem_1", "theorem_2", "theorem_3", "theorem_4")
 TORQUES = ("torque_indirect_pi", "torque_indirect_pid", "torque_direct_pi", "torque_direct_pid")
-LAST_TO_FIRST = {  # at most: RMS of the tracking error over the last tenth, over that of the first
+LAST_TO_FIRST = {  # upper bound: RMS of the tracking error over the last tenth, relative to the first
     "theorem_1": 1e-3,
     "theorem_2": 1e-3,
     "theorem_3": 0.4,
@@ -27,7 +27,7 @@ LAST_TO_FIRST = {  # at most: RMS of the tracking error over the last tenth, ove
     "torque_direct_pi": 0.5,
     "torque_direct_pid": 0.5,
 }
-SAMPLED = {  # the same of each sampled generator, with one servo each, over so many seconds
+SAMPLED = {  # the same for each sampled generator, with one servo each, over so many seconds
     "filtered_regulation_pid": (20, 0.02),
     "observed_regulation_pi": (40, 0.02),
     "observed_tracking_pid": (50, 0.4),
@@ -53,7 +53,7 @@ def fall(name: str) -> StorageTrace:
 
 
 def rms(run: Recording) -> np.ndarray:
-    """Of the tracking error, tenth by tenth."""
+    """RMS of the tracking error in each tenth."""
     desired, actual, _, _ = run.diagram.loop.followed[0]
     error = np.sum((run[actual] - run[desired]) ** 2, axis=1)
     return np.array([np.sqrt(part.mean()) for part in np.array_split(error, 10)])
@@ -63,7 +63,7 @@ def rms(run: Recording) -> np.ndarray:
 def test_the_tracking_error_falls_as_the_theorem_states(name: str) -> None:
     run, verdict = done(name)
     assert run.divergence is None
-    assert run.clock is None  # the theorems speak of continuous time
+    assert run.clock is None  # the theorems are in continuous time
     assert verdict.outcome == "proved"
     tenths = rms(run)
     assert tenths[0] > 1e-4
@@ -92,7 +92,7 @@ def test_the_observer_finds_the_task_position(name: str) -> None:
     run, _ = done(name)
     error = np.linalg.norm(run["observer.x_o"] - run["arm.x"], axis=1)
     tenth = len(error) // 10
-    assert error[0] < 1e-15  # it starts at the measured position, and the wrong kinematics drive it away
+    assert error[0] < 1e-15  # it starts at the measured position, and the wrong kinematics move it away
     assert error[-tenth:].max() < 0.3 * error.max()
 
 
@@ -128,11 +128,11 @@ def _benchmark() -> ModuleType:
 
 BENCHMARK = _benchmark()
 ALSO = "observed_tracking_pid, known kinematics"
-"""Of the generators that adapt the kinematics, the one that is proved with known ones too."""
+"""Of the generators with adaptive kinematics, the one that is also proved with known kinematics."""
 PROVED = [("ur10, 3 joints", *each) for each in BENCHMARK.graphs("ur10, 3 joints")]
 PROVED = [each for each in PROVED if "known_tracking" in each[1] or "known kin" not in each[1] or each[1] == ALSO]
 PROVED += [("xarm7", *each) for each in BENCHMARK.graphs("xarm7")][:1]
-"""`tests/benchmarks/verify_all.py` tries all, on more robots."""
+"""`tests/benchmarks/verify_all.py` covers all combinations, on more robots."""
 
 
 @pytest.mark.parametrize(("robot", "name", "text"), PROVED, ids=[f"{robot}: {name}" for robot, name, _ in PROVED])

@@ -27,7 +27,7 @@ GENERATORS = {
 
 
 def proof(folder: Path, generator: str, tie: str, K_c: float) -> Verdict:
-    """Without friction M_bar / K_D = K_c + 1 - 2/K_c, which is zero, exactly, where K_c is 1."""
+    """Without friction M_bar / K_D = K_c + 1 - 2/K_c, which is exactly zero for K_c = 1."""
     path, task = GENERATORS[generator]
     file = folder / "graph.yaml"
     file.write_text(

@@ -1,4 +1,4 @@
-"""Units of the packaged blocks: they agree in every packaged graph, and a wrong exponent of any parameter is found."""
+"""Units of the packaged blocks: consistent in every packaged graph, and a wrong exponent of a parameter is detected."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dmframe.dimensions.dimension import BASES, ONE
 
 CHEAP: Final = ("pendulum", "arm2_joint", "slotine_li", "computed_torque", "torque_direct_pi", "torque_direct_pid")
 PREFERRED: Final = ("known_tracking_composite_pi",)
-"""Those that hold a block with more of its options."""
+"""Graphs that contain a block with more of its options."""
 
 
 RADIANS: Final[Mapping[str, str]] = {
@@ -70,17 +70,17 @@ RADIANS: Final[Mapping[str, str]] = {
     "turning": "amplitude",
     "wall": "point stiffness damping",
 }
-"""Parameters whose power of rad is not known, by the one rule: after a sine, added to a mass or a plain number, in
-what is made of the robot's functions of a pose."""
+"""Parameters with an undetermined power of rad, by the one rule: after a sine, added to a mass or a plain number, in
+expressions of the robot's functions of a pose."""
 
 NEVER: Final[Mapping[str, str]] = {
-    "consistent_adaptation": "floor",  # read by the projection alone
+    "consistent_adaptation": "floor",  # used by the projection only
     "consistent_compensator": "floor",
     "sampled_inverse": "retention",
-    "wall": "normal",  # made one of length 1
+    "wall": "normal",  # normalised to length 1
     "waypoints": "x_d orientations",  # of one set of points, which is q_d here
 }
-"""Parameters without an equation, as the graphs stand, that another unit would contradict."""
+"""Parameters that no equation of the packaged graphs compares with another unit."""
 
 
 @pytest.mark.parametrize("graph", sorted(graphs()))
@@ -103,12 +103,12 @@ TOGETHER: Final[Mapping[str, Sequence[Mapping[str, Any]]]] = {
     "setpoint": [{"x_d": None, "q_d": (0.5, 0.5, 0.5)}],
     "waypoints": [{"q_d": None, "x_d": ((0.1,), (0.2,))}],
 }
-"""Options that go with others alone."""
+"""Options that apply together with others only."""
 
 
 @functools.cache
 def holders() -> dict[str, tuple[str, str]]:
-    """For each type of block the first packaged graph that holds it, cheap ones first, and its name there."""
+    """For each type of block the first packaged graph that contains it, fast ones first, and its name there."""
     found = dict[str, tuple[str, str]]()
     order = sorted(
         graphs(), key=lambda name: (name not in PREFERRED, name not in CHEAP, not name.startswith("torque"), name)
@@ -126,7 +126,7 @@ def built(graph: str) -> Diagram:
 
 
 def of_one(spec: Spec, size: Any) -> Any:
-    """A value of this form."""
+    """A value of this shape."""
     if spec.form in PAIRS:
         return (0.5, 1.5)
     if spec.form == "table":
@@ -137,7 +137,7 @@ def of_one(spec: Spec, size: Any) -> Any:
 
 
 def variants(kind: str) -> Iterator[Check]:
-    """The block as a graph has it, and with each option that it leaves out; of one in no graph, with all of them."""
+    """The block as in a graph, and with each option that the graph omits; with all options if it is in no graph."""
     block_type = block_types()[kind]
     graph, name = holders().get(kind, ("arm2_joint", ""))
     diagram = built(graph)
@@ -172,7 +172,7 @@ def check_of(kind: str, block: AbstractBlock, diagram: Diagram) -> Check:
 
 
 def inferred(block: type[AbstractBlock], name: str, spec: Spec) -> bool:
-    """Parameters whose unit follows from the rest: several, a gain without a unit, elements without one."""
+    """Parameters whose unit is inferred: several units, a gain without a unit, elements without one."""
     gains = {item.gain for item in block.estimates}
     if getattr(block, "driven_by", "") in {port.name for port in block.inputs if port.unit == ANY}:
         gains |= {"error_leak", "dead_zone"}
@@ -181,12 +181,12 @@ def inferred(block: type[AbstractBlock], name: str, spec: Spec) -> bool:
 
 
 def compared_by_name(block: type[AbstractBlock]) -> set[str]:
-    """Starts, boxes and balls of states."""
+    """Initial values, boxes and balls of states."""
     return {name for state in block.states for name in (state.name, state.box, state.ball)} & specs(block).keys()
 
 
 def missed(kind: str) -> dict[str, set[str]]:
-    """The base units of each parameter whose power may be one more, and nothing disagrees."""
+    """The base units of each parameter whose power can be one larger without a contradiction."""
     block = block_types()[kind]
     left = {
         name: {"g", "m", "s", "rad"}

@@ -1,4 +1,4 @@
-"""What a theorem does not allow is refused with the reason."""
+"""Graphs that violate an assumption of a theorem are refused with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each sentence of the docs that denies a feature is compared with the code: a feature that appears makes it false."""
+"""Each sentence of the docs that denies a feature is compared with the code; a new feature makes it false."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def commands() -> dict[str, set[str]]:
 
 
 def packaged(*words: str) -> list[str]:
-    """Block types whose name or first line of documentation has one of the words."""
+    """Block types with one of the words in their name or in the first line of their documentation."""
     shape = re.compile("|".join(words), re.IGNORECASE)
     blocks = block_types()
     return [name for name, block in blocks.items() if shape.search(f"{name} {(block.__doc__ or '').splitlines()[0]}")]
 
 
 def inputs_of(*names: str) -> set[str]:
-    """Names of these that a packaged block has as an input."""
+    """Those of these names that a packaged block has as an input."""
     return {port.name for block in block_types().values() for port in block.inputs} & set(names)
 
 
 def emulated(*names: str) -> list[str]:
-    """Functions of a script that the virtual robot carries out."""
+    """Script functions that the virtual robot executes."""
     return [name for name in names if name in names_of(Functions)]
 
 
@@ -77,11 +77,11 @@ ABSENT: list[tuple[str, str, Callable[[], object]]] = [
         ],
     ),
 ]
-"""A page, words of its sentence, and what there would be if the sentence were false."""
+"""A page, words of its sentence, and the feature that would make the sentence false."""
 
 
 def answer(command: str) -> str:
-    """An answer of the dashboard of the virtual robot."""
+    """An answer of the virtual robot's dashboard."""
     return str(dashboard._COMMANDS[command](None, "a.urp"))
 
 

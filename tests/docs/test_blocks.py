@@ -1,4 +1,4 @@
-"""Block pages: what they say is what the code says, and what a run gives."""
+"""Block pages: their content agrees with the code and with a run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def part(name: str) -> Any:
-    """A module that stands with the documentation."""
+    """A module of the documentation's folder."""
     sys.path.insert(0, str(ROOT / "docs"))
     try:
         return importlib.import_module(name)
@@ -34,7 +34,7 @@ LINK = re.compile(r"\]\((\w+)\.md\)")
 
 
 def section(page: str, title: str) -> str:
-    """What stands under a heading."""
+    """The text below a heading."""
     found = re.search(rf"^## {title}.*?\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     assert found is not None, title
     return found[1]
@@ -97,7 +97,7 @@ def test_the_example_is_the_smallest_graph_that_holds_the_block_and_claims_somet
     assert "pendulum" not in shown.others
     tracking = block_examples.example("known_tracking")
     assert tracking is not None
-    assert not tracking.graph.endswith("kinematic")  # smaller, and proves nothing
+    assert not tracking.graph.endswith("kinematic")  # smaller, and without a proof
     assert block_examples.example("no_such_block") is None
 
 
@@ -114,7 +114,7 @@ def test_the_main_parameter_is_the_first_that_must_be_positive_else_the_first_nu
 
     assert main("pendulum", "dynamics") == "Gamma"
     assert main("pendulum", "inverse") == "K_c"
-    assert main("ur10_fast", "path") == "radius"  # its centre is a point, and has no multiples
+    assert main("ur10_fast", "path") == "radius"  # its centre is a point, which has no multiples
     assert main("pendulum", "arm") == "viscous"
     assert main("pendulum", "model") == ""
 
@@ -161,7 +161,7 @@ def test_writing_the_pages_counts_them_in_a_terminal(tmp_path: Path, monkeypatch
         def isatty(self) -> bool:
             return True
 
-    monkeypatch.setattr(make_blocks, "page", lambda name, _: name)  # what takes seconds
+    monkeypatch.setattr(make_blocks, "page", lambda name, _: name)  # steps that take seconds
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     written = make_blocks.write(tmp_path, names=("circle", "sinusoid"))
     assert [path.name for path in written] == ["index.md", "circle.md", "sinusoid.md"]

@@ -1,4 +1,4 @@
-"""What CLAIMS.md calls tested is tested by `make test`, unless it says that only `make thorough` tests it."""
+"""Claims with the status `tested` in CLAIMS.md are tested by `make test`, unless the row names `make thorough`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ THOROUGH = "in `make thorough`"
 
 
 def unshown(rows: Sequence[str], tests: Collection[str]) -> list[str]:
-    """Files and tests of rows whose status is ``tested``, of which none is among the node ids `tests`."""
+    """Files and tests of rows with status ``tested`` that are not among the node ids `tests`."""
     names = {name.partition("[")[0] for name in tests}
     known = names | {name.partition("::")[0] for name in names}
     found = list[str]()

@@ -1,4 +1,4 @@
-"""Every lesson of the course runs from top to bottom, has its parts, and its exercise has a hidden solution."""
+"""Every lesson of the course runs from top to bottom and has its parts; its exercise has a hidden solution."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ HEADER = re.compile(r"\A---\n(.*?)^---\n", re.MULTILINE | re.DOTALL)
 FENCE = re.compile(r"^```\{([\w-]+)\}([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TAGS = re.compile(r"\A:tags: \[([^\]\n]*)\]\n+")
 PARTS = ["Predict", "The graph", "Run it", "Watch it", "Change it", "Why", "Exercise", "What you have seen"]
-"""Headings of a lesson, in this order; a lesson may have others between them."""
+"""Headings of a lesson, in this order; further headings may be in between."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A directive of a lesson: its first word, what follows on its line, its tags, its text, and where it begins."""
+    """A directive of a lesson: its first word, the rest of its line, its tags, its text, and its first line."""
 
     kind: str
     argument: str
@@ -52,13 +52,13 @@ def header_of(text: str) -> dict[str, Any]:
 
 
 def parts_of(text: str) -> dict[str, str]:
-    """Headings of the second level, each with what stands below it."""
+    """Headings of the second level, each with the text below it."""
     pieces = re.split(r"^## (.+)\n", text, flags=re.MULTILINE)
     return dict(zip(pieces[1::2], pieces[2::2], strict=True))
 
 
 def faults_of(text: str) -> list[str]:
-    """What a lesson lacks."""
+    """Missing parts of a lesson."""
     header, parts, cells = header_of(text), parts_of(text), list(cells_of(text))
     lesson = header.get("lesson", {})
     solutions = [cell for cell in cells_of(parts.get("Exercise", "")) if "solution" in cell.tags]
@@ -89,7 +89,7 @@ def _prose(text: str) -> str:
 
 
 def run(text: str, where: str) -> None:
-    """All cells in order, in one name space; a failure names the line of the page."""
+    """Run all cells in order, in one namespace; a failure names the line of the page."""
     names: dict[str, Any] = {}
     for cell in cells_of(text):
         if cell.kind == "code-cell":

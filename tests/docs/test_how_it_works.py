@@ -1,4 +1,4 @@
-"""The two drawings of docs/explanation/how_it_works.md, against the calls of a proof and of a run."""
+"""The two drawings of docs/explanation/how_it_works.md, compared with the calls of a proof and of a run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FILE = re.compile(r"(?:[\w.]+/)*[\w.]+\.py|\w+/(?=[,\s]|$)")
 
 
 def drawings() -> list[list[tuple[bool, list[str]]]]:
-    """Rows of each drawing: whether a row is a step of its own, and its files; a name without a folder has the last."""
+    """Rows of each drawing: whether it is a separate step, and its files; a name without a folder has the last one."""
     text = PAGE.read_text(encoding="utf-8")
     found = []
     for drawing in re.findall(r"^```text\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
@@ -41,7 +41,7 @@ PROOF, LOOP = drawings()
 
 
 def calls(work: Callable[[], Any]) -> list[str]:
-    """Files of dmframe in the order of the calls into them, without what an import calls."""
+    """Files of dmframe in the order of the calls into them, without calls during imports."""
     found, importing, above = list[str](), 0, f"{PACKAGE}/"
 
     def profile(frame: Any, event: str, _: Any) -> None:
@@ -81,7 +81,7 @@ def test_every_file_of_the_drawings_exists() -> None:
 
 
 def first_calls(rows: list[tuple[bool, list[str]]], called: list[str]) -> list[int]:
-    """Place of the first call into each step's first file, but for the verifier's, which calls all others."""
+    """Place of the first call into each step's first file, except for the verifier's, which calls all others."""
     steps = [files[0] for step, files in rows if step and files[0].startswith(("certify/", "prove/"))]
     return [next(matching([file], called)) for file in steps if file != "certify/verifier.py"]
 
@@ -91,7 +91,7 @@ def test_a_proof_enters_the_steps_of_the_drawing_in_its_order(proof: list[str]) 
     assert len(first) == 5
     assert first == sorted(first)
     steps = [row for row in PROOF if row[0]]
-    for k in range(1, len(first)):  # a drawing with two steps in the other order is found
+    for k in range(1, len(first)):  # a drawing with two steps in the other order is detected
         swapped = first_calls([*steps[:k], steps[k + 1], steps[k], *steps[k + 2 :]], proof)
         assert swapped != sorted(swapped)
 

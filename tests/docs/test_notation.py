@@ -1,4 +1,4 @@
-"""The tables of notation: written from the code, complete, and one symbol with one meaning."""
+"""The tables of notation: generated from the code, complete, and with one meaning for each symbol."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def notation() -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["make_notation"] = module  # dataclasses look their module up
+    sys.modules["make_notation"] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
@@ -98,7 +98,7 @@ def test_a_fault_is_reported(notation: ModuleType, case: str) -> None:
 
 
 class Confused(AbstractBlock):
-    """An option and a part of the law that are called like other things."""
+    """An option and a part of the law with names that others have."""
 
     inputs = (Input("u", "n", "V"),)
     outputs = (Output("y", "n", "V"),)

@@ -1,4 +1,4 @@
-"""Pages: links resolve, what a page lists is what there is."""
+"""Pages: links resolve, and lists of a page are complete."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's table: complete, true to the blocks, and fresh."""
+"""The paper's table: complete, in agreement with the blocks, and up to date."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def paper() -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["make_paper"] = module  # dataclasses look their module up
+    sys.modules["make_paper"] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
@@ -56,7 +56,7 @@ def test_properties_theorems_remarks_and_assumptions_have_rows(paper: ModuleType
 
 def test_a_row_states_where_it_is_or_why_it_is_nowhere(paper: ModuleType) -> None:
     unused = [row for row in paper.rows() if row.unused]
-    assert [row.number for row in unused] == ["Remark 4"]  # of other papers' laws
+    assert [row.number for row in unused] == ["Remark 4"]  # of laws from other papers
     for row in paper.rows():
         assert len(row.states) > 8, row.number
         assert not re.search(r"not (given|used)|TODO|\?\?", row.states), row.number

@@ -1,4 +1,4 @@
-"""Citations and the bibliography hold one another."""
+"""Each citation has an entry in the bibliography, and each entry is cited."""
 
 from __future__ import annotations
 

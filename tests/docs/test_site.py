@@ -1,4 +1,4 @@
-"""The site, without setting it: its pages, its navigation, its links, and what it adds to Sphinx."""
+"""The site before Sphinx: its pages, its navigation, its links, and its extensions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def part(name: str) -> Any:
-    """A module that stands with the documentation."""
+    """A module of the documentation's folder."""
     sys.path.insert(0, str(ROOT / "docs"))
     try:
         return importlib.import_module(name)
@@ -34,13 +34,13 @@ api, live, mathematics = part("site_parts.api"), part("site_parts.live"), part("
 pages, references = part("site_parts.pages"), part("site_parts.references")
 
 LOADS = re.compile(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//|url\(\s*["']?(?:https?:)?//|@import|<link|cdn\.""", re.I)
-"""How a page, a style or a configuration names something that a browser fetches by itself."""
+"""Texts by which a page, a style or a configuration makes a browser load a resource."""
 PLAIN_LINK = re.compile(r"(?<!!)\[[^\]]*\]\(https?://")
 
 
 @pytest.fixture(scope="module")
 def files() -> dict[str, str | bytes]:
-    """All sources of the site but the blocks' pages, which have tests of their own."""
+    """All sources of the site except the blocks' pages, which have their own tests."""
     shown = set[Path]()
     found: dict[str, str | bytes] = {
         place: pages.linked(path.read_text(encoding="utf-8"), path, place, shown.add)
@@ -52,7 +52,7 @@ def files() -> dict[str, str | bytes]:
 
 
 def navigation(files: dict[str, str | bytes]) -> Counter[str]:
-    """How often each page is listed in a table of contents."""
+    """Number of tables of contents that list each page."""
     names = {re.sub(r"\.(md|rst)$", "", place): place for place in files if place.endswith((".md", ".rst"))}
     listed = Counter[str]()
     for place, text in files.items():
@@ -129,7 +129,7 @@ def test_every_link_of_a_gathered_page_leads_to_a_page_of_the_site(files: dict[s
 
 
 def anchors(text: str) -> set[str]:
-    """What a page's headings are called, as GitHub and MyST call them."""
+    """The anchors of a page's headings, as in GitHub and MyST."""
     heads = [
         line.lstrip("#").strip()
         for is_prose, part in pages.parted(text)

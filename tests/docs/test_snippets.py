@@ -1,8 +1,8 @@
-"""Every fenced ``console``, ``python`` and ``yaml`` snippet of the README and the docs does what the page says.
+"""Every fenced ``console``, ``python`` and ``yaml`` snippet of the README and the docs has the documented result.
 
 A page's snippets run in order, in one empty folder. A snippet whose first line is ``# name.ext`` is that file. Other
-Python runs. Other YAML is a study, a graph, or some keys laid over ur10_fast's, and must build. A console snippet
-holds commands after ``$``, and what they print: ``...`` in a line stands for any text, as a line for any lines.
+Python runs. Other YAML is a study, a graph, or some keys to be merged into ur10_fast, and must build. A console snippet
+contains commands after ``$``, and their output: ``...`` in a line matches any text, and as a line any lines.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ FENCE = re.compile(r"^```([^`\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"# ([\w/]+\.\w+)\n")
 OTHERS = ("dmframe-study:", "dmframe-race:")
 DIRECTIVE = re.compile(r"\{(?:live|toctree)\}")
-"""What the site makes of a fence; building the site runs it."""
+"""Fences that the site replaces; building the site runs them."""
 PLAIN = {"text", "sh", "mermaid"}
-"""Fences that a reader reads and no test runs; the two commands for a fresh machine are of that kind."""
+"""Fences that no test runs: the two commands for a new machine."""
 
 
 @dataclass
 class Page:
-    """What the snippets of one page share."""
+    """State that the snippets of one page share."""
 
     folder: Path
     names: dict[str, Any] = field(default_factory=dict)
@@ -59,9 +59,9 @@ def snippets(page: Path) -> list[tuple[int, str, str]]:
 def test_every_snippet_does_what_the_page_states(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
-    for module in (plotting, estimate_figure):  # figures are drawn; tests of figures look at how they are laid out
+    for module in (plotting, estimate_figure):  # figures are drawn; their layout has tests of its own
         monkeypatch.setattr(module, "settle", lambda figure: figure.set_layout_engine("none"))
-    monkeypatch.setattr(proof, "MOST", 1)  # of a study's settings one is decided; no page prints more of it
+    monkeypatch.setattr(proof, "MOST", 1)  # one of a study's settings is decided; no page prints more of it
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     shared = Page(tmp_path)
     for line, language, text in snippets(page):
@@ -134,8 +134,8 @@ def commands(text: str) -> list[tuple[str, list[str]]]:
 
 
 def matches(wanted: list[str], printed: list[str]) -> bool:
-    """Do lines match, ``...`` any number of them? Blanks that line columns up may differ in number."""
-    places = {0}  # how many printed lines may be behind us
+    """True if the lines match, ``...`` any number of them; blanks that align columns may differ in number."""
+    places = {0}  # numbers of printed lines that may be matched already
     for line in wanted:
         if line.strip() == "...":
             places = set(range(min(places, default=len(printed) + 1), len(printed) + 1))
@@ -153,7 +153,7 @@ def _line(line: str) -> str:
 
 
 def run_command(command: str) -> tuple[int, str]:
-    """`dmframe` in this process, which is faster than a new one; the rest in a shell."""
+    """`dmframe` in this process, which is faster than a new one; other commands in a shell."""
     words = shlex.split(command)
     if words[0] != "dmframe" or {"|", ">", "<", "&&"} & set(words):
         done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The table of what the sampled law bears: its page is that of its data, the words too, and its data those of runs."""
+"""Robustness of the sampled law: the page is generated from its data, texts included, and the data from runs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def study() -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["study_stress"] = module  # dataclasses look their module up
+    sys.modules["study_stress"] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
@@ -32,7 +32,7 @@ def cells(study: ModuleType) -> Cells:
 
 
 def rms(row: dict[str, str]) -> float:
-    """[mm], infinite where there is none."""
+    """[mm], infinite if there is none."""
     return 1e3 * float(row["rms_final"] or "inf")
 
 
@@ -59,7 +59,7 @@ AT_REST, CUT_OFF = "standing still", "a drive ends at 75 of 81 N m"
 
 
 def of(cells: Cells, name: str) -> dict[str, dict[str, str]]:
-    """The cases of a controller, but for the one in which none has an error."""
+    """The cases of a controller, except the one in which none has an error."""
     return {case: row for (case, graph), row in cells.items() if graph == name and case != AT_REST}
 
 

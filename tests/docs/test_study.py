@@ -1,4 +1,4 @@
-"""The study of Section V: its page and pictures are those of its data, and its data are those of its runs."""
+"""The study of Section V: its page and figures are generated from its data, and its data from its runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def study() -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["study_section_v"] = module  # dataclasses look their module up
+    sys.modules["study_section_v"] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
@@ -143,7 +143,7 @@ def test_the_graphs_own_cell_changes_nothing_but_the_step(
     name = f"ur10_{task}" + {"kinematic": "_kinematic", "position": "_tied_position"}.get(form, "")
     boxes = ("dynamics.a_d_hat", "inverse.w", "inverse.w_P", "inverse.w_I") if gains and task == "fast" else ()
     changed = plan.points[index].graph
-    own = Graph.read(name, [f"{estimate}_box=null" for estimate in boxes])  # they are no part of the paper's law
+    own = Graph.read(name, [f"{estimate}_box=null" for estimate in boxes])  # they are not part of the paper's law
     assert changed.blocks == own.blocks
     assert (changed.file.clock, changed.file.duration) == (own.file.clock, own.file.duration)
 

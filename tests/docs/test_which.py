@@ -1,4 +1,4 @@
-"""Which controller for which task: the tables are those of the graphs, of their verdicts and of runs."""
+"""Which controller for which task: the tables agree with the graphs, their verdicts and runs."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def rows(which: ModuleType) -> Rows:
 
 
 def number(cell: str) -> float:
-    """The first of a cell."""
+    """The first value of a cell."""
     found = re.match(r"[\d.]+", cell)
     assert found is not None, cell
     return float(found.group())
@@ -79,14 +79,14 @@ def test_the_page_shows_what_is_kept(which: ModuleType, said: dict[str, Any], ro
 
 
 def answer_rows(which: ModuleType) -> list[list[str]]:
-    """The cells of the page's first table, without the marks of Markdown."""
+    """The cells of the page's first table, without Markdown markup."""
     text = which.PAGE.read_text(encoding="utf-8")
     lines = text.partition(which.ANSWERS_BEGIN)[2].partition(which.ANSWERS_END)[0].strip().splitlines()[2:]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
 def combinations() -> list[list[str]]:
-    """Answers to the five questions, in their order."""
+    """Answers to the five questions, in order."""
     choices = [list(item.choices) or ["8 ms", "12 ms", "13 ms", "90 ms"] for item in guide().questions.values()]
     return [list(answers) for answers in itertools.product(*choices)]
 
@@ -250,7 +250,7 @@ def test_the_front_pages_figures_are_those_of_the_competitors(page: str, which: 
 def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cut_off(
     which: ModuleType, said: dict[str, Any]
 ) -> None:
-    """0.2 s of a robot that is commanded 9 rad/s: counted by what came out of the limits."""
+    """0.2 s of a robot that is commanded 9 rad/s: measured at the output of the limits."""
     graph = dm.load("ur10_fast_kinematic").set({"task.gamma": 900, "start.q": [1.2, -1.2, 1.2], "duration": 0.2})
     graph = graph.reality({"command_limits": {}})
     run = graph.run(progress=False, judge=False)

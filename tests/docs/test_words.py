@@ -1,4 +1,4 @@
-"""The word list of lint: hits in prose, none in code, spans of code and targets of links."""
+"""The word list of lint: hits in prose, no hits in code, spans of code and targets of links."""
 
 from __future__ import annotations
 

@@ -11,14 +11,14 @@ from dmframe.common.errors import ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
-sys.path.insert(0, str(Path(__file__).parent))  # what several folders share
+sys.path.insert(0, str(Path(__file__).parent))  # shared by several folders
 
 Runner = Callable[..., Recording]
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty cache folder, in a process that has loaded nothing yet."""
+    """An empty cache folder, in a process with nothing loaded yet."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("DMFRAME_CACHE", str(folder))
     forget()
@@ -27,7 +27,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def forget() -> None:
-    """What a new process would not know."""
+    """State that a new process does not have."""
     library._kept.clear()
     library._reported.clear()
 
@@ -47,7 +47,7 @@ def pendulum() -> Runner:
 
 @pytest.fixture
 def without_v(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs without V along them, which takes most of a short run's time; `results/test_storage.py` tests V."""
+    """Runs without V, which takes most of a short run's time; `results/test_storage.py` tests V."""
 
     def refuse(*_: object) -> None:
         raise ValueFault("V is left out of this test")

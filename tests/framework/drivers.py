@@ -1,4 +1,4 @@
-"""What the tests of drivers share."""
+"""Shared code of the tests of drivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A study whose runs cost nothing, in place of one that simulates: what is tested is where rows go."""
+"""A study whose runs need no time, instead of simulations: the tests follow its rows."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Column:
 
 @dataclass
 class FakeStudy:
-    """The run (point, sample) gives numbers that a seed of both makes.
+    """The run (point, sample) returns numbers derived from a seed of both.
 
-    Where the folder `gates` holds a pipe ``POINT-FIRST``, the worker of that chunk writes its process number there, and
-    then waits until it is killed; where it holds a file ``poison-POINT-FIRST``, the worker kills itself; ``fault-...``,
+    If the folder `gates` contains a pipe ``POINT-FIRST``, the worker of that chunk writes its process number to it, and
+    then waits until it is killed; with a file ``poison-POINT-FIRST`` the worker kills itself; with ``fault-...``
     it raises.
     """
 

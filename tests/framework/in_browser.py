@@ -1,4 +1,4 @@
-"""Browsers without a window, driven through what they offer to debuggers: no package is needed."""
+"""Headless browsers, driven through their debugging interfaces: no package is needed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 TURNS: Final = 200
-"""How often a page is polled before it is given up, 30 ms apart."""
+"""Number of polls of a page before the test fails, 30 ms apart."""
 SHOW: Final = "document.getElementById({element!r}).scrollIntoView({{block: 'nearest'}})"
 BOX: Final = (
     "(() => {{ const b = document.getElementById({element!r}).getBoundingClientRect();"
@@ -18,7 +18,7 @@ BOX: Final = (
 
 
 class Browser(ABC):
-    """One tab, with reduced motion; `said` is all that the page wrote to its console, and every error in it."""
+    """One tab, with reduced motion; `said` is all output of the page to its console, with every error."""
 
     def __init__(self) -> None:
         self.said = list[str]()
@@ -26,11 +26,11 @@ class Browser(ABC):
 
     @abstractmethod
     def opened(self, page: Path, fragment: str = "") -> None:
-        """Open a file anew."""
+        """Open a file again."""
 
     @abstractmethod
     def value(self, expression: str) -> Any:
-        """What an expression is in the page."""
+        """Value of an expression in the page."""
 
     @abstractmethod
     def mouse(self, does: str, x: float, y: float) -> None:
@@ -42,23 +42,23 @@ class Browser(ABC):
 
     @abstractmethod
     def sized(self, width: int | None, height: int | None = None) -> None:
-        """Give the page a telephone's size; without numbers, that of the window."""
+        """Set the page to the size of a phone; without numbers, to that of the window."""
 
-    def until(self, expression: str) -> Any:
+    def until(self, expression: str, turns: int = TURNS) -> Any:
         """The expression's value as soon as it is true."""
-        for _ in range(TURNS):
+        for _ in range(turns):
             if found := self.value(f"document.readyState === 'complete' && ({expression})"):
                 return found
             self.value("new Promise((done) => setTimeout(done, 30))")
         raise AssertionError(f"{expression}: never true; {self.said}")
 
     def dragged(self, element: str, *parts: float, steps: int = 6) -> None:
-        """Hold an element with the mouse at the first of these parts of its width, and let it go at the last."""
+        """Press the mouse on an element at the first of these fractions of its width, and release it at the last."""
         self.held(element, *parts, steps=steps)
         self.let_go()
 
     def held(self, element: str, *parts: float, steps: int = 6) -> None:
-        """The same without letting it go."""
+        """The same without release."""
         self.value(SHOW.format(element=element))
         places = [self.spot(element, part) for part in parts]
         self._at = places[0]
@@ -68,12 +68,12 @@ class Browser(ABC):
             self.mouse("moves", *self._at)
 
     def spot(self, element: str, part: float) -> tuple[float, float]:
-        """A place in an element, at a part of its width."""
+        """A place in an element, at a fraction of its width."""
         left, width, y = self.value(BOX.format(element=element))
         return left + part * width, y
 
     def let_go(self) -> None:
-        """Release what was held, where it is."""
+        """Release the mouse at its place."""
         self.mouse("released", *self._at)
 
 

@@ -32,22 +32,29 @@ class Chromium(Browser):
         self.motion(False)
 
     def ask(self, method: str, session: str | None = "", **params: Any) -> dict[str, Any]:
-        """One command's result; what comes in between is kept in `said`."""
-        self._count += 1
-        message: dict[str, Any] = {"id": self._count, "method": method, "params": params}
-        if session is not None:
-            message["sessionId"] = self._session
-        os.write(self._commands, json.dumps(message).encode() + b"\0")
+        """Result of one command; events in between are stored in `said`."""
+        number = self._send(method, session, params)
         while True:
             answer = self._next()
-            if answer.get("id") == self._count:
+            if answer.get("method") == "Page.javascriptDialogOpening":  # whether the page may be left: yes
+                self._send("Page.handleJavaScriptDialog", "", {"accept": True})
+            if answer.get("id") == number:
                 assert "error" not in answer, answer
                 result: dict[str, Any] = answer["result"]
                 return result
             if answer.get("method") in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded"):
                 entry = answer["params"].get("entry", {})
-                if entry.get("source") != "rendering":  # the browser's own remarks on a machine without a graphics card
+                if entry.get("source") != "rendering":  # messages about a missing graphics card
                     self.said.append(json.dumps(answer["params"])[:600])
+
+    def _send(self, method: str, session: str | None, params: dict[str, Any]) -> int:
+        """Send a command without waiting for its result; returns its number."""
+        self._count += 1
+        message: dict[str, Any] = {"id": self._count, "method": method, "params": params}
+        if session is not None:
+            message["sessionId"] = self._session
+        os.write(self._commands, json.dumps(message).encode() + b"\0")
+        return self._count
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
@@ -59,9 +66,13 @@ class Chromium(Browser):
         return answer
 
     def opened(self, page: Path, fragment: str = "") -> None:
+        self.visit(page.as_uri() + fragment)
+
+    def visit(self, address: str) -> None:
+        """Open an address anew."""
         self.ask("Page.navigate", url="about:blank")
         self.said.clear()
-        self.ask("Page.navigate", url=page.as_uri() + fragment)
+        self.ask("Page.navigate", url=address)
 
     def value(self, expression: str) -> Any:
         found = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
@@ -82,19 +93,19 @@ class Chromium(Browser):
         self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=True)
 
     def motion(self, wanted: bool) -> None:
-        """Whether the reader wants motion; without, a robot that stands still leaves time for the rest."""
+        """Whether the reader prefers motion; without it, a stationary robot leaves computing time for the rest."""
         calm = [] if wanted else [{"name": "prefers-reduced-motion", "value": "reduce"}]
         self.ask("Emulation.setEmulatedMedia", features=calm)
 
 
 @contextmanager
-def chromium(folder: Path) -> Iterator[Chromium]:
-    """A browser with a fresh profile in `folder`; the test is skipped where there is none."""
+def chromium(folder: Path, *more: str) -> Iterator[Chromium]:
+    """A browser with a fresh profile in `folder` and `more` options; the test is skipped if there is none."""
     found = shutil.which("chromium") or shutil.which("google-chrome")
     if found is None or shutil.which("bash") is None:
         pytest.skip("chromium is not installed")
     (read, commands), (answers, write) = os.pipe(), os.pipe()
-    options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--remote-debugging-pipe"]
+    options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--remote-debugging-pipe", *more]
     launch = ["bash", "-c", f'exec "$@" 3<&{read} 4>&{write}', "-", found, *options, f"--user-data-dir={folder}"]
     process = subprocess.Popen(launch, pass_fds=(read, write), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     os.close(read)

@@ -20,10 +20,10 @@ import pytest
 from in_browser import Browser
 
 PREFERENCES: Final = {"ui.prefersReducedMotion": 1}
-"""A robot that stands still leaves time for the rest."""
+"""A stationary robot leaves computing time for the rest."""
 LISTENS: Final = re.compile(r"WebDriver BiDi listening on ws://127\.0\.0\.1:(\d+)")
 PATIENCE: Final = 60.0
-"""How long an answer may take before the browser is given up [s]."""
+"""Timeout of an answer of the browser [s]."""
 FINAL, TEXT, MASKED, PING, PONG = 0x80, 0x1, 0x80, 0x9, 0xA
 BUTTON: Final = {"moves": [], "pressed": ["pointerDown"], "released": ["pointerUp"]}
 LEFT_ARROW: Final = "\ue012"
@@ -31,7 +31,7 @@ LEFT_ARROW: Final = "\ue012"
 
 @final
 class WebSocket:
-    """A client of RFC 6455 for texts, as much of it as this needs."""
+    """A client of RFC 6455 for texts, limited to what the tests need."""
 
     def __init__(self, port: int, path: str) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), PATIENCE)
@@ -44,7 +44,7 @@ class WebSocket:
         assert b" 101 " in head[0], head
 
     def send(self, text: str) -> None:
-        """One text."""
+        """Send one text."""
         self._frame(TEXT, text.encode())
 
     def _frame(self, kind: int, data: bytes) -> None:
@@ -57,7 +57,7 @@ class WebSocket:
         self._socket.sendall(bytes([FINAL | kind]) + length + mask + masked)
 
     def received(self) -> str:
-        """The next text."""
+        """Receive the next text."""
         whole = b""
         while True:
             first, second = self._stream.read(2)
@@ -73,7 +73,7 @@ class WebSocket:
                 return whole.decode()
 
     def close(self) -> None:
-        """End it without a farewell."""
+        """Close it without a closing handshake."""
         self._stream.close()
         self._socket.close()
 
@@ -91,7 +91,7 @@ class Firefox(Browser):
         self.ask("session.subscribe", events=["log.entryAdded"])
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
-        """One command's result; what comes in between is kept in `said`."""
+        """Result of one command; events in between are stored in `said`."""
         self._count += 1
         self._channel.send(json.dumps({"id": self._count, "method": method, "params": params}))
         while True:
@@ -131,7 +131,7 @@ class Firefox(Browser):
 
 
 def plain(value: dict[str, Any]) -> Any:
-    """A value of BiDi as Python has it; None for what cannot leave the page."""
+    """A value of BiDi in Python; None for one that cannot leave the page."""
     match value["type"]:
         case "array":
             return [plain(item) for item in value["value"]]
@@ -147,7 +147,7 @@ def plain(value: dict[str, Any]) -> Any:
 
 @contextmanager
 def firefox(folder: Path) -> Iterator[Firefox]:
-    """A browser with a fresh profile in `folder`; the test is skipped where there is none."""
+    """A browser with a fresh profile in `folder`; the test is skipped if there is none."""
     found = shutil.which("firefox-esr") or shutil.which("firefox")
     if found is None:
         pytest.skip("firefox is not installed")
@@ -157,7 +157,7 @@ def firefox(folder: Path) -> Iterator[Firefox]:
     streams: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(words, env=os.environ | {"HOME": str(folder)}, **streams) as process:
         assert process.stderr is not None
-        drain = Thread(target=process.stderr.read, daemon=True)  # so that the browser never waits for a reader
+        drain = Thread(target=process.stderr.read, daemon=True)  # so that the browser never blocks on its output
         try:
             listens = next((place for line in process.stderr if (place := LISTENS.search(line))), None)
             assert listens is not None, "firefox ended before it listened"

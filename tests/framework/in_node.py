@@ -1,4 +1,4 @@
-"""A page's scripts in Node, where there is one."""
+"""A page's scripts in Node, if it is installed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def content(name: str) -> dict[str, Any]:
 
 
 def content_of_graph(graph: Graph, *, periods: bool = False) -> dict[str, Any]:
-    """A graph's page as data; with `periods`, which take seconds, what it says of its clock."""
+    """A graph's page as data; with `periods`, which take seconds, including those of its clock."""
     verdict, found = graph.verify().verdict, None
     if periods:
         with SYMBOLIC:
@@ -38,7 +38,7 @@ def content_of_graph(graph: Graph, *, periods: bool = False) -> dict[str, Any]:
 
 
 def answered(content: dict[str, Any], *, web: Path = WEB, **questions: Any) -> dict[str, Any]:
-    """What `drive.mjs` answers; the test is skipped where there is no Node."""
+    """The answers of `drive.mjs`; the test is skipped without Node."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed")

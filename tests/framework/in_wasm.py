@@ -15,14 +15,14 @@ LIBRARY: Final = ctypes.CDLL(find_library("m"))
 
 
 def host(name: str) -> Callable[..., float]:
-    """The C library's function, which C calls, too."""
+    """The C library's function, which the C code calls too."""
     function = getattr(LIBRARY, name)
     function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double] * HOST[f"env.{name}"]
     return lambda *numbers: float(function(*numbers))
 
 
 class Loaded:
-    """A module, called with arrays: they are laid out in its memory, and read back."""
+    """A module, called with arrays: they are copied to its memory and back."""
 
     def __init__(self, binary: bytes) -> None:
         import wasmtime

@@ -1,4 +1,4 @@
-"""What a live page evaluates, checked against a run, the interpreter and the verdict."""
+"""Functions of a live page, compared with a run, the interpreter and the verdict."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def functions(found: Verification) -> Functions:
 
 
 def check_functions(found: Verification) -> None:
-    """The page's functions say of the file's own numbers what the rest of the framework says of them."""
+    """At the file's own numbers, the page's functions agree with the rest of the framework."""
     made, loop = functions(found), found.diagram.loop
     p, state = loop.p_values, start_state(found.diagram, found.graph.start)
     check_start(found, made, state, p)
@@ -36,7 +36,7 @@ def check_functions(found: Verification) -> None:
 
 
 def check_start(found: Verification, made: Functions, state: np.ndarray, p: np.ndarray) -> None:
-    """From the pose alone, the whole start follows; and a pose that is sought is on the path."""
+    """The whole start follows from the pose; and a pose that is searched is on the path."""
     period = found.graph.file.clock or found.graph.solver.output
     pose = pose_of(found, made, state)
     np.testing.assert_allclose(made.begin(pose, period, p).full().ravel(), state, rtol=1e-12, atol=1e-12)
@@ -59,7 +59,7 @@ def check_judged(found: Verification, made: Functions, pose: np.ndarray, p: np.n
     period = found.graph.file.clock or found.graph.solver.output
     judged, verdict = made.judged(pose, period, p).full().ravel(), found.verdict
     for condition, place, reads in zip(made.conditions, made.margins, made.reads, strict=False):
-        if place is None:  # a search or random motions decide it: the page says that it judged the file's numbers alone
+        if place is None:  # a search or random motions decide it, at the file's numbers only
             assert "stays exponentially stable" in condition.name or (condition.how == "sampled" and reads)
             continue
         least = judged[place[0] : sum(place)].min() if place[1] else 0.0
@@ -71,7 +71,7 @@ def check_judged(found: Verification, made: Functions, pose: np.ndarray, p: np.n
 
 
 def flow(found: Verification) -> Any:
-    """(state, t, T, p) -> the rates of what flows in the plant, from the loop's own expressions."""
+    """(state, t, T, p) -> the rates of the plant's continuous states, from the loop's expressions."""
     loop = found.diagram.loop
     rates = loop.on_path(loop.acting([stack(loop.rates_of(loop.flowing))])[0])
     if loop.noises:
@@ -80,12 +80,12 @@ def flow(found: Verification) -> Any:
 
 
 def check_module(found: Verification, made: Functions, state: np.ndarray, p: np.ndarray) -> None:
-    """In WebAssembly each function gives CasADi's numbers, at a random state too."""
+    """In WebAssembly each function has CasADi's values, at a random state too."""
     loaded = Loaded(loop_module(made.parts, made.exported))
     rng = np.random.default_rng(0)
     for function in (flow(found), *made.exported):
         given = [rng.uniform(0.2, 1.0, function.numel_in(i)) for i in range(function.n_in())]
-        if function.name() in ("flow", "shown"):
+        if function.name() in ("flow", "shown", "stored"):
             given[0] = state + rng.uniform(-0.01, 0.01, state.size)
         given[-1] = p
         sizes = [function.numel_out(j) for j in range(function.n_out())]

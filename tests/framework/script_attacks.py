@@ -1,4 +1,4 @@
-"""Scripts that ask for more than their share of a robot: each is to end by itself, with a fault that says why."""
+"""Scripts that exceed their budget on a robot: each ends by itself, with a fault that contains the reason."""
 
 from __future__ import annotations
 
@@ -100,4 +100,4 @@ ATTACKS: Final[dict[str, tuple[str, str]]] = {
     "a time without end": ("speedj([0, 0, 0, 0, 0, 0], 1, 1e400)\n", "OverflowError"),
     "a large integer": (_looped("  x = 2", "    x = x * x\n" + _SYNC), "an integer of 32 bits"),
 }
-"""By what it does: the script, and what the message about it holds."""
+"""By effect: the script, and a part of the message about it."""

@@ -1,24 +1,24 @@
-"""The packaged graphs that differ in more than numbers, and a few that hold every block."""
+"""The packaged graphs that differ in more than numbers, and a few that together contain every block."""
 
 from __future__ import annotations
 
 from functools import cache
 from typing import Any
 
-import yaml  # comes with distributed
+import yaml  # part of distributed
 
 from dmframe.catalogue import graphs
 
 
 @cache
 def packaged() -> dict[str, dict[str, Any]]:
-    """The data of every packaged graph; a small robot's first. YAML 1.1 is read in C; it takes 1e-3 for a text."""
+    """The data of every packaged graph, small robots first. YAML 1.1 is read in C; it reads 1e-3 as a text."""
     names = sorted(graphs(), key=lambda name: ("_full" in name, name))
     return {name: yaml.load(graphs()[name].read_bytes(), yaml.CSafeLoader) for name in names}
 
 
 def structures() -> list[str]:
-    """One graph of each structure: the blocks, which parameters each is given, and the wires; a small robot's first."""
+    """One graph of each structure: blocks, given parameters, and wires; small robots first."""
     found = dict[str, str]()
     for name, data in packaged().items():
         blocks = sorted((block, entry["type"], sorted(entry)) for block, entry in data["blocks"].items())
@@ -27,7 +27,7 @@ def structures() -> list[str]:
 
 
 def every_block() -> list[str]:
-    """Few graphs that hold every packaged graph's blocks between them, one of a redundant robot of 7 joints."""
+    """A few graphs that together contain every packaged graph's blocks, one with a redundant robot of 7 joints."""
     kinds = {name: {entry["type"] for entry in data["blocks"].values()} for name, data in packaged().items()}
     found, left = ["panda_full"], set[str]().union(*kinds.values()) - kinds["panda_full"]
     while left:

@@ -1,4 +1,4 @@
-"""Studies run by processes that are then ended: a gate holds a worker in the middle of a chunk until it is."""
+"""Studies in processes that are then stopped: until then a gate blocks a worker in the middle of a chunk."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ state = run_study(FakeStudy(samples=int(samples), gates=Path(gates)), out, chunk
 print(state.kept, state.computed, state.lost, *state.failed.values(), sep="|")
 """
 PATIENCE = 60.0
-"""After so long a test fails instead of waiting on [s]."""
+"""Timeout after which a test fails [s]."""
 
 
 def environment() -> dict[str, str]:
@@ -50,13 +50,13 @@ def said(process: subprocess.Popen[str]) -> str:
 
 @contextmanager
 def gate(gates: Path, place: str) -> Iterator[tuple[int, int]]:
-    """Wait until a worker reaches a chunk; returns its process number, and a descriptor that is closed when it ends."""
+    """Wait until a worker reaches a chunk; returns its process number, and a descriptor that is closed at its end."""
     pipe = gates / place
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     try:
         wait(reader)
         worker = int(os.read(reader, 100))
-        pipe.unlink()  # the next who comes may pass
+        pipe.unlink()  # the next one may pass
         yield worker, reader
     finally:
         os.close(reader)
@@ -69,7 +69,7 @@ def wait(reader: int) -> None:
 
 
 def wait_for_end(reader: int) -> None:
-    """Until every process that holds the gate open has ended."""
+    """Until every process that keeps the gate open has ended."""
     wait(reader)
     assert os.read(reader, 1) == b""
 
@@ -90,7 +90,7 @@ def frame(out: Path) -> Any:
 
 
 def expected(samples: int = 40) -> Any:
-    """What an undisturbed study holds, computed here, one run after another."""
+    """Content of an undisturbed study, computed here, one run after another."""
     import polars
 
     study = FakeStudy(samples=samples)
@@ -100,18 +100,18 @@ def expected(samples: int = 40) -> Any:
 
 
 def files(out: Path) -> set[str]:
-    """The files of rows that are there."""
+    """The files of rows that exist."""
     return {item.name for item in (out / "runs").glob("*.parquet")}
 
 
 def written(out: Path) -> set[str]:
-    """The files that have a line, but for one that was cut off."""
+    """The files that have a line, except an incomplete one."""
     lines = (out / "chunks.jsonl").read_text().splitlines()
     return {json.loads(line)["file"] for line in lines if line.endswith("}")}
 
 
 def check(out: Path, samples: int = 40) -> None:
-    """Complete, nothing twice, equal bit by bit to the undisturbed one."""
+    """Complete, without duplicates, and bit-identical to the undisturbed study."""
     found = frame(out)
     assert found["run"].to_list() == list(range(3 * samples))
     assert found.rows() == expected(samples).rows()

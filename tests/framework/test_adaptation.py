@@ -1,4 +1,4 @@
-"""Each law of adaptation against NumPy, and what it adds to the derivative of its storage, by hand."""
+"""Each law of adaptation compared with NumPy, and its terms in the derivative of its storage, by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks: parameters, names, the contract of a class, and what equations may read."""
+"""Blocks: parameters, names, the contract of a class, and the signals that equations may read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a block's author writes: one import line, ports by kind, and errors that say what to write."""
+"""The authors' interface: one import line, ports by kind, and errors that contain the remedy."""
 
 from __future__ import annotations
 

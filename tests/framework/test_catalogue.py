@@ -1,4 +1,4 @@
-"""Where blocks and graphs come from: registered packages, a user's own file, and what goes wrong with either."""
+"""Sources of blocks and graphs: registered packages, a user's own file, and the faults of either."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class {name}(AbstractBlock):
 
 
 def install(folder: Path, package: str, modules: dict[str, str], value: str = "") -> None:
-    """A package with its entry point, as an installer would lay it out."""
+    """A package with its entry point, in the layout of an installer."""
     (folder / package).mkdir(parents=True)
     (folder / package / "__init__.py").write_text(modules.pop("__init__", ""))
     for name, text in modules.items():

@@ -1,4 +1,4 @@
-"""Work that copies of this process share."""
+"""Work that is divided between forked processes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere"
 
 @pytest.fixture(autouse=True)
 def alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if no other test had left a thread in this process: with one there are no copies."""
+    """As if no other test had left a thread in this process: with one there are no forks."""
     monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 1)
 
 
@@ -135,7 +135,7 @@ def test_what_a_copy_did_before_it_ended_is_kept(monkeypatch: pytest.MonkeyPatch
     here = os.getpid()
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     with shared([os.getpid, end, os.getpid], busy=True) as finished:
-        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # the copy has ended
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # the forked process has ended
         first, second, third = finished()
     assert first != second == third == here
 
@@ -218,7 +218,7 @@ def test_a_fork_whose_parent_has_ended_stops_to_wait(monkeypatch: pytest.MonkeyP
             os.kill(os.getpid(), signal.SIGKILL)
     os.close(writer)
     os.waitpid(middle, 0)
-    assert os.read(reader, 1) == b""  # the fork held the other end
+    assert os.read(reader, 1) == b""  # the forked process had the other end
 
 
 def test_a_value_that_was_never_given_is_an_error() -> None:

@@ -1,4 +1,4 @@
-"""Unrolled eigenvalues against NumPy's, of matrices of all kinds."""
+"""Unrolled eigenvalues compared with NumPy's, for matrices of all kinds."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def functions() -> Any:
 
 
 def worst(count: int = 1200) -> float:
-    """How far values, vectors and the positive part are from NumPy's, in parts of the matrix."""
+    """Distance of values, vectors and the positive part from NumPy's, relative to the matrix."""
     function, found = functions(), 0.0
     for A in matrices(count):
         values, V, positive = (item.full() for item in function(A))

@@ -1,4 +1,4 @@
-"""Blocks at numbers, against what their papers' formulas and Pinocchio say."""
+"""Blocks at numbers, compared with the formulas of their papers and with Pinocchio."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ factor = 2.0
 
 @final
 class Listed(AbstractBlock):
-    """A block with values that can change, and a global variable."""
+    """A block with mutable values, and a global variable."""
 
     outputs = (Output("y", "", ""),)
     numbers: list[float] | tuple[float, ...]
@@ -151,7 +151,7 @@ def test_a_new_block_states_its_equations_again(monkeypatch: pytest.MonkeyPatch)
     assert other.evaluate().outputs["y"] == 5.0
 
 
-def test_nothing_is_kept_of_a_block_that_is_gone() -> None:
+def test_no_cache_entry_remains_of_a_deleted_block() -> None:
     kept = evaluate._KEPT
     before, made = len(kept), block("kinematics")
     for robot in ("ur5", "ur10", "ur5"):

@@ -1,4 +1,4 @@
-"""A file is written in full or not at all, where its name leads, and faults name it."""
+"""A file is written in full or not at all, at the target of its link, and faults contain its name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Copies of a process in which another thread held a lock."""
+"""Forks of a process in which another thread held a lock."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ os._exit(0)
 
 
 def hung(before: str = "") -> int:
-    """1 where one of 200 copies did not end."""
+    """1 if one of 200 forked processes did not end."""
     words = [sys.executable, "-c", BUSY.format(before=before)]
     return int(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 

@@ -1,4 +1,4 @@
-"""Gains that are matrices: what is taken for positive definite, and their symbols in a diagram."""
+"""Gains that are matrices: which are accepted as positive definite, and their symbols in a diagram."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_first_element_that_is_wrong_is_named(matrix: Any, text: str) -> Non
 
 
 def test_a_matrix_is_judged_by_its_decimals_and_not_by_rounded_sums() -> None:
-    """In doubles the second pivot, 0.9 + 1e-16 - 0.3^2 / 0.1, is above zero by rounding alone."""
+    """In doubles the second pivot, 0.9 + 1e-16 - 0.3^2 / 0.1, is positive by rounding only."""
     assert 0.9 - 0.3 * 0.3 / 0.1 > 0
     with pytest.raises(ValueError, match="the pivot 0"):
         check_definite(((0.1, 0.3), (0.3, 0.9)))

@@ -29,7 +29,7 @@ KEPT: dict[str, Any] = {}
 
 
 class Falling(AbstractBlock):
-    """y' = -rate y, in the way that a test chooses to find a number, and reads it where the test says."""
+    """y' = -rate y, with a test's choice of how and where it reads a number."""
 
     outputs = (Output("seen"),)
     states = (State("y"), State("z", "n"))
@@ -120,7 +120,7 @@ def made(way: Callable[[Any], Any], where: str, **options: Any) -> Diagram:
 
 
 def stated(diagram: Diagram) -> str:
-    """Messages of all checks of a block's methods; none if all is well."""
+    """Messages of all checks of a block's methods; none if all are correct."""
     simulate(diagram, 0.1, clock=0.1)
     return verify(diagram, trials=1).reason
 
@@ -130,7 +130,7 @@ def test_no_way_to_a_number_is_left_in_equations(way: str) -> None:
     with pytest.raises(DmframeError) as caught:
         made(WAYS[way], "equations")
     assert str(caught.value).startswith("falling: ")
-    with pytest.raises(DmframeError):  # nor what was kept when the block was made, with its numbers
+    with pytest.raises(DmframeError):  # nor a value stored when the block was made, with its numbers
         made(WAYS[way], "cache") if way in ("cached", "private") else made(WAYS[way], "equations", twice=True)
 
 
@@ -156,7 +156,7 @@ def test_what_reads_options_and_symbols_alone_is_as_before() -> None:
 )
 def test_a_number_found_elsewhere_is_found_by_other_numbers(way: Callable[[Any], float]) -> None:
     class Global(Falling):
-        """With a sign that a number outside of p decides."""
+        """With a sign that depends on a number outside p."""
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             sign = 1 if way(self) < 5 else -1
@@ -177,7 +177,7 @@ def through_a_block(self: Any) -> float:
 
 
 def leaking(found: Callable[[Any], float], where: str, **options: Any) -> Diagram:
-    """Falling, with a factor that a number outside of p decides, in the method that is named."""
+    """A decrease, with a factor that depends on a number outside p, in the named method."""
 
     class Leaking(Falling):
         """With a factor."""
@@ -230,7 +230,7 @@ def test_a_sweep_evaluates_a_start_with_what_the_old_number_left_behind() -> Non
 
 def test_a_number_is_varied_alone_where_a_block_takes_no_other_number_for_all() -> None:
     class Paired(Falling):
-        """Its two rates sum up to three: neither all of its numbers nor these two can be multiplied."""
+        """Its two rates add up to three: neither all of its numbers nor these two can be multiplied."""
 
         other: Scalar = Positive(default=1.0)
         third: Scalar = Positive(default=1.0)
@@ -290,7 +290,7 @@ def test_a_block_that_adapts_states_its_directions_without_numbers_too(where: st
 @pytest.mark.parametrize("where", ["direction", "nominal", "error", "equations", "certificate"])
 def test_a_number_found_elsewhere_is_found_in_what_an_adapting_block_states(where: str) -> None:
     class Remembering(Learning):
-        """With a number that its validator keeps."""
+        """With a number that its validator stores."""
 
         def model_post_init(self, context: Any, /) -> None:
             KEPT["floor"] = self.floor
@@ -376,10 +376,10 @@ def test_a_block_without_a_place_to_leave_a_number_is_evaluated_at_other_numbers
 
     assert [evaluations(Steady()) for _ in range(3)] == [3, 1, 1]
     assert evaluations(Steady(rate=3)) == 3
-    assert [evaluations(Storing()) for _ in range(2)] == [3, 3]  # what it leaves may have changed
+    assert [evaluations(Storing()) for _ in range(2)] == [3, 3]  # its result may have changed
     with monkeypatch.context() as patched:
         patched.setattr(f"{__name__}.noted", lambda: EVALUATED.append("otherwise") or 2.0)
-        assert evaluations(Steady()) == 3  # a helper with which another law is stated
+        assert evaluations(Steady()) == 3  # a helper with another law
     with monkeypatch.context() as patched:
         patched.setattr(Steady, "equations", other)
         assert evaluations(Steady()) == 3  # another method, though it states the same

@@ -1,4 +1,4 @@
-"""The distribution as a user gets it: the wheel, built from the sdist, installed where a folder `blocks/` stands."""
+"""The distribution as a user gets it: the wheel, built from the sdist, installed next to a folder `blocks/`."""
 
 from __future__ import annotations
 

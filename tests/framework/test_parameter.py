@@ -1,4 +1,4 @@
-"""Parameters: what a graph or a caller may write for a number, and the error for anything else."""
+"""Parameters: the allowed forms of a number in a graph or a call, and the error for all others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sentence keeps its formulas for each of its readers; a plain `str` of it is what JSON holds."""
+"""A sentence contains its formulas for each rendering; its plain `str` is the content of JSON."""
 
 from __future__ import annotations
 

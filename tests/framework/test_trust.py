@@ -1,4 +1,4 @@
-"""Whose code a graph may run."""
+"""Which code a graph may run."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_file_that_all_may_write_is_not_run_until_its_folder_is_trusted(graph:
     assert not ran(graph)
     dm.load(graph, trust=True)
     assert ran(graph)
-    assert dm.load(graph).name == "g"  # remembered
+    assert dm.load(graph).name == "g"  # stored
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="marks differ")
@@ -78,7 +78,7 @@ def test_a_file_that_a_browser_has_marked_is_not_run(graph: Path) -> None:
 def test_a_file_of_another_user_is_not_run(graph: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "getuid", lambda: graph.stat().st_uid + 1)
     if graph.stat().st_uid == 0:
-        graph.with_name("mine.py").chmod(0o666)  # root's files are no stranger's
+        graph.with_name("mine.py").chmod(0o666)  # root's files are trusted
     with pytest.raises(BlockError, match=r"belongs to another user|all users may write"):
         dm.load(graph)
 

@@ -1,4 +1,4 @@
-"""Virtual robots for tests, and a client of theirs that speaks bytes."""
+"""Virtual robots for tests, and a client of theirs at byte level."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ def runs(held: VirtualRobot, script: str, cycles: int = 2000) -> VirtualRobot:
 
 
 def message(kind: str, payload: bytes = b"") -> bytes:
-    """A message of RTDE, as its guide has it."""
+    """A message of RTDE, as in its guide."""
     return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
 
 
 class Client:
-    """One client by RTDE, without a socket."""
+    """A client of RTDE, without a socket."""
 
     def __init__(self, held: VirtualRobot, others: list[Rtde] | None = None) -> None:
         self.robot = held
         self.rtde = Rtde(held, [] if others is None else others)
 
     def received(self) -> list[tuple[str, bytes]]:
-        """What has come: kinds and payloads."""
+        """Received messages: kinds and payloads."""
         data, found = bytes(self.rtde.pending), []
         self.rtde.pending.clear()
         while data:
@@ -86,7 +86,7 @@ class Client:
         assert self.request("S") == ("S", b"\1")
 
     def samples(self, form: str) -> list[tuple[Any, ...]]:
-        """The samples that have come, as `struct` reads them."""
+        """The received samples, unpacked by `struct`."""
         return [struct.unpack(f">{form}", payload[1:]) for kind, payload in self.received() if kind == "U"]
 
     def write(self, form: str, *values: Any) -> None:
@@ -129,7 +129,7 @@ def follow():
   textmsg("the client is silent")
 end
 """
-"""Such as a client of its own uploads."""
+"""A script as uploaded by a client."""
 
 
 class Line:
@@ -138,7 +138,7 @@ class Line:
     def __init__(self, held: VirtualRobot) -> None:
         self.robot, self.others = held, list[Rtde]()
         self.cut, self.closed = False, False
-        """Nothing passes any more, in either direction; or both ends see a closed connection."""
+        """No data passes in either direction; or both ends have a closed connection."""
 
     def __call__(self, host: str, port: int) -> Link:
         self.check()
@@ -151,7 +151,7 @@ class Line:
 
 
 class Link:
-    """One of them: by RTDE, or one that takes scripts."""
+    """One connection: by RTDE, or one that accepts scripts."""
 
     def __init__(self, line: Line, rtde: Rtde | None) -> None:
         self.line, self.rtde = line, rtde
@@ -185,7 +185,7 @@ class Link:
 
 
 class Trace:
-    """What a robot did, cycle by cycle."""
+    """Record of the robot's motion, cycle by cycle."""
 
     def __init__(self, held: VirtualRobot) -> None:
         self.time, self.speed, self.commanded = list[float](), list[float](), list[float]()
@@ -199,7 +199,7 @@ class Trace:
         self.lost += robot.sample_lost
 
     def rest(self, since: float) -> float:
-        """How long from then on until nothing moves any more [s]; inf where something still does."""
+        """Time from then until nothing moves [s]; inf if a joint still moves."""
         moves = [
             k for k, (v, target) in enumerate(zip(self.speed, self.commanded, strict=True)) if v > REST or target > 0
         ]
@@ -208,4 +208,4 @@ class Trace:
 
 
 REST = 0.01
-"""Slower than this an arm rests [rad/s]: its servo's integral takes out what is left of a way, for seconds."""
+"""Speed below which an arm is at rest [rad/s]: its servo's integral action removes the last error in seconds."""

@@ -1,4 +1,4 @@
-"""The exported controller of a packaged graph around its plant in MuJoCo, and `run` of the same graph."""
+"""The exported controller of a packaged graph with its plant in MuJoCo, and `run` of the same graph."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def controller(name: str) -> ExportedController:
 
 
 def numbers(graph: Any) -> dict[str, Array]:
-    """Parameters of a graph's blocks, one number a joint where the block has one for all."""
+    """Parameters of a graph's blocks, one number per joint even if the block has one for all."""
     n = graph.diagram.robot.n
     found = {leaf.label: np.asarray(leaf.value, dtype=float) for leaf in graph.diagram.loop.parameters}
     return {label: np.full(n, value) if value.ndim == 0 else value for label, value in found.items()}
 
 
 def held(graph: Any) -> dict[str, float]:
-    """The joints of the URDF that the graph does not move, by their angles [rad]."""
+    """The joints of the URDF that the graph fixes, by their angles [rad]."""
     robot = graph.file.robot
     joints = ET.parse(find_robot(robot.model).urdf).getroot().findall("joint")
     names = [str(joint.get("name")) for joint in joints if joint.get("type") in ("revolute", "continuous")]
@@ -44,7 +44,7 @@ def held(graph: Any) -> dict[str, float]:
 
 
 def plant_of(graph: Any, **changes: Any) -> Plant:
-    """The arm, friction and PID servo of a graph, but for what is changed."""
+    """The arm, friction and PID servo of a graph, except for changed values."""
     value, robot = numbers(graph), graph.file.robot
     if "servo" not in changes:
         changes["servo"] = Pid(value["servo.K_D"], value["servo.K_P"], value["servo.K_I"])
@@ -60,7 +60,7 @@ def plant_of(graph: Any, **changes: Any) -> Plant:
 
 
 def in_mujoco(name: str, seconds: float, settings: Settings | None = None, **changes: Any) -> Motion:
-    """A packaged graph's controller with its plant, at other settings of the plant's blocks, in MuJoCo."""
+    """A packaged graph's controller with its plant, with other settings of the plant's blocks, in MuJoCo."""
     graph, law = dm.load(name).set(dict(settings or {})), controller(name)
     labels = [leaf.name for leaf in graph.diagram.loop.measured]
     law.init()
@@ -76,7 +76,7 @@ def in_mujoco(name: str, seconds: float, settings: Settings | None = None, **cha
 
 
 def in_dmframe(name: str, seconds: float, settings: Settings | None = None) -> Any:
-    """The record of `run` of a packaged graph, at other settings."""
+    """The record of `run` of a packaged graph, with other settings."""
     done = dm.load(name).set(dict(settings or {})).run(seconds, progress=False)
     assert done.recording.divergence is None
     return done.recording

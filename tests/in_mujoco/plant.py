@@ -1,6 +1,6 @@
-"""A closed robot in MuJoCo: the arm that MuJoCo's own compiler reads from the URDF, a servo and friction by hand.
+"""A closed robot in MuJoCo: the arm from MuJoCo's own compiler of the URDF, a servo and friction by hand.
 
-No equation of dmframe is used: links and axes come from the file, the numbers of servo and friction from the caller.
+It uses no equation of dmframe: links and axes come from the file, the numbers of servo and friction from the caller.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STEP = 1e-3
 """Largest step of MuJoCo's RK4 [s]."""
 
 Law = Callable[[dict[str, Array], float], Array]
-"""The command [rad/s] of the measurements and the time of a sample."""
+"""The command [rad/s], a function of the measurements and the time of a sample."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Plant:
         Inertia of each rotor about its joint's axis [kg m^2].
     mass_scale
         Factors of links' masses and inertias, by name.
-    loads
+    Bodies at the tool, each until the next.
         Bodies held by the tool, each until the next.
     """
 
@@ -136,7 +136,7 @@ class Plant:
         return found
 
     def friction(self, dq: Array, tau: Array) -> Array:
-        """The torque of all friction [N m] at a servo's torque."""
+        """The total friction torque [N m] for a servo's torque."""
         dry = self.coulomb
         if self.sticking or self.per_torque:
             dry = dry + self.sticking * np.exp(-((dq / self.slow) ** 2)) + self.per_torque * np.abs(tau)

@@ -1,4 +1,4 @@
-"""Servos of robots as they are sold, written by hand for a plant of MuJoCo."""
+"""Servos of commercial robots, written by hand for a plant of MuJoCo."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class Servo(ABC):
 
     @abstractmethod
     def start(self, q: Array, held: Array) -> Array:
-        """The states, (rows, n), of an arm at rest at q that needs the torque `held` [N m] against gravity."""
+        """The states, (rows, n), of an arm at rest at q with the gravity torque `held` [N m]."""
 
     @abstractmethod
     def law(self, q: Array, dq: Array, x: Array, dq_c: Array) -> tuple[Array, list[Array]]:
         """The torque [N m], and the rate of each row, at a command dq_c [rad/s]."""
 
     def sample(self, q: Array, dq: Array, x: Array, dq_c: Array) -> Array:
-        """The states after one of its samples."""
+        """The states after one sample of the servo."""
         return x
 
 
@@ -56,7 +56,7 @@ class Pid(Servo):
 
 @dataclass(frozen=True)
 class Cascade(Servo):
-    """P around PI with the share f of velocity feed-forward, a filter of the velocity, and a lag of the torque [s].
+    """P around PI with the fraction f of velocity feed-forward, a filter of the velocity, and a lag of the torque [s].
 
     The velocity controller receives e_v = f dq_c + k_p (q_c - q) - v, where v follows dq by the filter; the torque
     follows K_v e_v + K_i times the integral of e_v by the lag. A time of 0 means none.
@@ -84,7 +84,7 @@ class Cascade(Servo):
 
 @dataclass(frozen=True)
 class DigitalCascade(Cascade):
-    """The same, with both controllers computed once in a cycle [s]; the filter and the lag remain continuous."""
+    """The same, with both controllers computed once per cycle [s]; the filter and the lag remain continuous."""
 
     cycle: float = 1e-3
     rows = 5

@@ -1,4 +1,4 @@
-"""The aggregation behind a robot's channel in MuJoCo: delay, ramp and encoder by hand, the error that of `run`."""
+"""The aggregation with a robot's channel in MuJoCo: delay, ramp and encoder by hand; the error is that of `run`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ CASES: dict[str, tuple[str, float, bool, dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class Ramped(Servo):
-    """A servo behind a ramp: its command follows the one that is sent, with a lag and at most the acceleration."""
+    """A servo with a ramp: its command follows the sent one, with a lag and a limited acceleration."""
 
     inner: Servo
 

@@ -28,7 +28,7 @@ WHOLE = {  # the RMS error over the last eighth of 200 s, of 100 s with the pose
     "ur10_pose": 0.0679,
 }
 SHORT = {INVERSE: 9.0, FAST: 6.4}
-"""Graphs whose controller is compiled quickly, by seconds in which friction and gravity already make the error."""
+"""Graphs with fast compilation, by seconds in which friction and gravity already determine the error."""
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -69,7 +69,7 @@ def test_a_fault_of_the_plant_is_found(fault: str) -> None:
 
 
 def test_the_arm_that_mujoco_reads_from_the_urdf_is_that_of_pinocchio() -> None:
-    """Gravity, velocity and inertia terms, at random states of the arm with held wrists."""
+    """Gravity, velocity and inertia terms, at random states of the arm with fixed wrists."""
     plant = plant_of(dm.load(FAST))
     model, full = plant.model(), pin.buildModelFromUrdf(str(find_robot("ur10").urdf))
     pose = pin.neutral(full)

@@ -1,4 +1,4 @@
-"""Controllers whose graphs state one plant, at the plants of robots as they are sold: MuJoCo against `dmframe run`."""
+"""Controllers of graphs with one plant, on plants of commercial robots: MuJoCo compared with `dmframe run`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOADED = 3.6  # [s], a sampling instant of both clocks
 
 @dataclass(frozen=True)
 class Case:
-    """Settings of a graph, and what they are in MuJoCo where the graph's servo and friction do not say it."""
+    """Settings of a graph, and those in MuJoCo if the graph's servo and friction do not define them."""
 
     settings: Settings
     changes: Settings = field(default_factory=dict)
@@ -57,17 +57,17 @@ PLANTS = {
     "stiff cascade without feed-forward": cascade(0.0),
 }
 SECONDS = 7.2
-"""The load is there for the last half of it; a sampling instant of both clocks."""
+"""The load acts in the last half of it; a sampling instant of both clocks."""
 
 
 STEP = 5e-4
-"""Of MuJoCo's RK4 [s]. `run` shortens its own where the plant is stiff; 1 ms is then too long, by 3 % in the error."""
+"""Of MuJoCo's RK4 [s]. `run` shortens its own steps for a stiff plant; 1 ms then changes the error by 3 %."""
 
 
 @pytest.mark.parametrize("name", [INVERSE, TUNED, SUPERVISED])
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_controller_at_another_plant_has_the_error_of_a_run(plant: str, name: str) -> None:
-    """The exported controller is that of the packaged graph: it has no number of the plant."""
+    """The exported controller is that of the packaged graph: it contains no number of the plant."""
     case, packaged = PLANTS[plant], in_dmframe(name, SECONDS)["arm.q"]
     run = in_dmframe(name, SECONDS, case.settings)
     motion = in_mujoco(name, SECONDS, case.settings, step=STEP, **case.changes)

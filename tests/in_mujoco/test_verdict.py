@@ -1,4 +1,4 @@
-"""The errors that a verdict predicts, on the hidden robot in MuJoCo that recorded the log."""
+"""The errors predicted by a verdict, on the hidden robot in MuJoCo that recorded the log."""
 
 from __future__ import annotations
 

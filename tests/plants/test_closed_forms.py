@@ -1,4 +1,4 @@
-"""The framework's expressions against the textbook's closed forms: in symbols for two links, in numbers for all."""
+"""The framework's expressions compared with textbook closed forms: in symbols for two links, in numbers for all."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def to_sympy(f, inputs):
 
 
 class Angle:
-    """A SymPy angle that NumPy's sin and cos accept, so that the closed form runs on symbols as it stands."""
+    """A SymPy angle that NumPy's sin and cos accept, so that the closed form runs on symbols unchanged."""
 
     def __init__(self, expression):
         self.expression = expression

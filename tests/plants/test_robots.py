@@ -1,4 +1,4 @@
-"""A sweep over the packaged robots: each loads, is lawful, and says where it comes from."""
+"""A sweep over the packaged robots: each loads, is physically consistent, and names its origin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OF_THE_MAKER = {
     "ur10e": [0.1807, 0.6127, 0.57155, 0.17415, 0.11985, 0.11655],
     "ur16e": [0.1807, 0.4784, 0.36, 0.17415, 0.11985, 0.11655],
 }
-"""Link lengths of the makers' data sheets [m]: each is a coordinate of some joint's placement, or of the tool."""
+"""Link lengths of the data sheets [m]: each is a coordinate of some joint's placement, or of the tool."""
 NAMES = sorted(EXPECTED)
 
 

@@ -39,7 +39,7 @@ FRICTION = ("viscous", "coulomb", "rotor")
 class Fit:
     """Unexplained torque on the held-out record as a fraction of its standard deviation; friction, rotors and gains.
 
-    The rotors of joints 1 and 2 are part of the links' inertia: they are what exceeds the maker's links.
+    The rotors of joints 1 and 2 are part of the links' inertia: they are the difference from the data sheet's links.
     """
 
     unexplained: np.ndarray
@@ -51,7 +51,7 @@ class Fit:
 
 
 def table(path: Path, width: int) -> np.ndarray:
-    """The first columns of a record, one row a time; rows that are narrower are left out."""
+    """The first columns of a record, one row per time; narrower rows are omitted."""
     lines = path.read_text(encoding="utf-8").splitlines()
     rows = np.array(
         [[float(word) for word in line.split(",")[:width]] for line in lines if line.count(",") >= width - 1]

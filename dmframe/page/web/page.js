@@ -15,12 +15,14 @@ const loop = await loaded(content).catch((error) => {
   find("detail").textContent = `The page needs WebAssembly and DecompressionStream: ${error.message}`;
   throw error;
 });
+const rivals = await Promise.all(content.rivals.map(async (rival) => ({ ...rival, solver: await loaded(rival.loop) })));
+const ghosts = rivals.filter(({ ghost }) => ghost);
 if (content.robot) content.robot.meshes = await Promise.all(content.robot.meshes.map(decodedMesh));
 const plots = [], texts = new Map(); // text by element id
 // `perMs`: solver work per millisecond, measured in the last run
 let run = null, perMs = Infinity, scene = null, inks = {}, frames = null;
-let time = 0, hover = null, playing = !still, pace = 1, before = 0, lastRead = 0, waiting = false;
-let requested = null;
+let inView = true, time = 0, hover = null, playing = !still, pace = 1, before = 0, lastRead = 0, waiting = false;
+let requested = null, factor = content.enlarge; // of the deviation that the scene draws
 
 // ---- simulation
 
@@ -31,18 +33,29 @@ function request(quick) {
 
 function simulate(quick) {
   const p = sliders.numbers, started = performance.now();
-  run = loop.simulate({ p, shift: sliders.shift, tick: sliders.tick, most: quick ? Math.max(2000, QUICK * perMs) : MOST_WORK });
+  run = loop.simulate({ p, shift: sliders.shift, tick: sliders.tick, dense: !quick, most: quick ? Math.max(2000, QUICK * perMs) : MOST_WORK });
   const took = performance.now() - started;
   if (run.work > 2000) perMs = run.work / Math.max(took, 1);
   if (run.short) run.notices.push(quick ? `while the slider moves, only the first ${plain(run.short, "s")} are simulated` : `the integrator's steps are so short that only the first ${plain(run.short, "s")} are simulated`);
   run.judged = loop.judged(p, run.start, run.tick);
   run.spread = loop.spread(p, run.start, run.tick);
   run.climb = climb(p);
+  for (const rival of quick ? ghosts : rivals) compete(rival, p, quick);
+  const all = performance.now() - started;
   time = Math.min(time, run.times.at(-1));
   showVerdict(p);
   lines();
   curves(quick);
-  if (!quick) find("foot").textContent = `${plain(run.times.at(-1), "s")} of simulated time took ${plain(took / 1000, "s")}: ${run.substeps} step${run.substeps > 1 ? "s" : ""} of rk4 in each tick of ${plain(run.tick, "s")}. dmframe ${content.dmframe}, model ${content.fingerprint.slice(0, 16)}.`;
+  if (!quick) score();
+  if (!quick) find("foot").textContent = `${plain(run.times.at(-1), "s")} of simulated time took ${plain(took / 1000, "s")}: ${run.substeps} step${run.substeps > 1 ? "s" : ""} of rk4 in each tick of ${plain(run.tick, "s")}${rivals.length ? `; with the verdict and ${rivals.length} other controller${rivals.length > 1 ? "s" : ""}, ${plain(all / 1000, "s")}` : ""}. dmframe ${content.dmframe}, model ${content.fingerprint.slice(0, 16)}.`;
+}
+
+// Simulates a rival from the same pose, with the parameters that it shares.
+function compete(rival, p, quick) {
+  const { solver, error } = rival, shared = sharedValues(rival, p), last = run.short || content.horizon;
+  const most = quick ? Math.max(2000, QUICK * perMs) : MOST_WORK;
+  const found = solver.simulate({ p: shared, pose: run.start, tick: run.tick, horizon: last, most });
+  rival.run = { ...found, tick: run.tick, norm: normOf(found, error, rival.loop.sizes.shown) };
 }
 
 // Largest increase of V in the run; null without V. The rounding error is evaluated at nine instants.
@@ -50,10 +63,16 @@ function climb(p) {
   const group = content.groups.find(({ kind }) => kind === "storage"), last = run.kept - 1;
   if (!group || last < 1) return null;
   const rows = Array.from({ length: group.size }, (_, k) => column(group.of, group.at + k));
-  const V = run.times.map((_, k) => rows.reduce((sum, values) => sum + values[k], 0));
+  const V = run.V?.values ?? run.times.map((_, k) => rows.reduce((sum, values) => sum + values[k], 0)), end = V.length - 1;
   const sampled = [0, 1, 2, 3, 4, 5, 6, 7, 8].map((k) => loop.roundingError(run, Math.round((k * last) / 8), p, run.tick, group));
-  const rounding = V.map((_, k) => Math.max(sampled[Math.floor((8 * k) / last)], sampled[Math.ceil((8 * k) / last)]));
-  return climbOf(V, rounding);
+  const rounding = V.map((_, k) => Math.max(sampled[Math.floor((8 * k) / end)], sampled[Math.ceil((8 * k) / end)]));
+  return climbOf(V, rounding, run.V?.restarts ?? stepsAt());
+}
+
+// Recorded instants at which a source has stepped since the one before.
+function stepsAt() {
+  const rows = content.groups.filter(({ kind }) => kind === "steps").flatMap(({ of, at, size }) => Array.from({ length: size }, (_, k) => column(of, at + k)));
+  return run.times.reduce((found, _, k) => (k && rows.some((values) => values[k] !== values[k - 1]) ? [...found, k] : found), []);
 }
 
 // The title with the sampling period that is simulated.
@@ -81,12 +100,36 @@ function showVerdict(p) {
   if (find("notice").classList.toggle("diverged", Boolean(divergence)) === (find("detail").nextElementSibling === find("notice")))
     find("detail")[divergence ? "before" : "after"](find("notice")); // on a small screen the reader scrolls to the rest
   sliders.show(p, run.start);
-  find("reset").disabled = !sliders.moved.size;
+  find("reset").disabled = !sliders.changed;
+  guided();
   set("command", sliders.command(p, run.start));
   find("conditions").replaceChildren(...verdict.rows.map(({ name, how, margin, holds }) =>
     make("tr", { class: holds ? "yes" : holds === null ? "open" : "no" },
       ...[name, margin === null ? "" : figure(margin), holds ? (how === "sampled" ? "sampled, not proved" : "holds") : holds === null ? "not decided here" : "fails"].map((text) => make("td", {}, text)))));
-  run.proved = verdict.state === "proved" || verdict.state === "clock";
+  run.proved = verdict.proved;
+  if (parent !== window) parent.postMessage({ state: verdict.state, headline: verdict.headline, edit: sliders.edit }, "*");
+}
+
+// Buttons of the graph: those whose values are set, and what they say.
+function guided() {
+  const pressed = content.buttons.filter((button) => sliders.active(button));
+  for (const button of content.buttons) find(`button-${button.name}`).setAttribute("aria-pressed", pressed.includes(button));
+  set("says", pressed.map(({ says }) => says).filter(Boolean).join(" "));
+}
+
+// Errors of all controllers over the last fifth of the run.
+function score() {
+  const group = content.groups.find(({ kind }) => kind === "error"), { horizon } = content;
+  if (!rivals.length) return;
+  const mine = { title: "This controller", note: "", run: { ...run, norm: normOf(run, group, content.sizes.shown) }, colour: 0 };
+  const all = [mine, ...rivals].map(({ run: { times, norm } }) => lastRms(times, norm, horizon)), { power, prefix } = prefixed(Math.max(...all), group.unit);
+  const rows = [mine, ...rivals.map((rival) => ({ ...rival, colour: rival.ghost ? 1 + ghosts.indexOf(rival) : null }))].map(({ title, note, run: { times, norm, divergence }, colour }) => {
+    const rms = lastRms(times, norm, horizon), key = make("i", {});
+    if (colour !== null) key.style.setProperty("--key", `var(--c${colour})`);
+    const text = divergence ? `diverges at ${plain(divergence.time, "s")}` : rms === null ? "" : `${figure(rms / 10 ** power)} ${prefix}${group.unit}`;
+    return make("tr", {}, make("td", {}, key), make("td", {}, title, note && make("small", {}, note)), make("td", {}, text));
+  });
+  find("scores").replaceChildren(make("caption", {}, `Error, RMS from ${plain(horizon * 0.8, "s")} to ${plain(horizon, "s")}`), ...rows);
 }
 
 // A text is replaced only if it changed: a screen reader repeats a replaced text.
@@ -116,7 +159,7 @@ function arrange() {
     plots.push(plot);
   };
   for (const group of content.groups) {
-    if (group.kind === "error") add("first", group, { title: `Error ${group.name} − ${content.goal.name}`, switch: true, zero: true });
+    if (group.kind === "error") add("first", group, { title: `Error ${group.name} − ${content.goal.name}`, switch: true, zero: true, log: ghosts.length > 0 });
     if (group.kind === "turn") add("first", group, { title: "Tool's turn from its orientation", switch: true, zero: true });
     if (group.kind === "storage") {
       add("first", group, { title: "V", switch: true, whole: true });
@@ -143,12 +186,14 @@ function curves(quick) {
     if (group.kind === "error" && rows.length > 1) {
       const norm = { name: "norm", colour: 0, wide: true, values: run.times.map((_, k) => Math.hypot(...rows.map(({ values }) => values[k]))) };
       shown = [...rows.map((one, k) => ({ ...one, colour: k + 1, faint: true })), norm];
+      if (ghosts.length) shown = [...ghosts.map(({ title, run: { times, norm } }, k) => ({ name: title, colour: k + 1, times, values: norm })), { ...norm, name: "this controller" }];
     } else if (group.kind === "error" || group.kind === "turn") rows[0].wide = true;
     if (group.kind === "turn") rows[0].name = "turn";
     if (group.kind === "storage") {
       const total = run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0));
       shown = plot.whole ? [{ name: "V", colour: 0, wide: true, values: total }] : rows.filter(({ values }) => values.some((value) => value > 0));
-      plot.say(!run.proved ? "no proof at these values" : plot.whole ? `the sum of all storage functions${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} instants` : ""}` : "");
+      const left = plot.whole && shown[0].values.at(-1) / shown[0].values[0];
+      plot.say(!run.proved ? "no proof at these values" : plot.whole ? `the sum of all storage functions, at the end ${figure(100 * left)} % of its start${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} ${run.V ? "samples" : "instants"}` : ""}` : "");
     }
     if (group.kind === "command" && measured(group)) {
       const { label } = measured(group);
@@ -175,47 +220,64 @@ function estimates(plot, rows, quick) {
   });
 }
 
-// The tool's trace and the desired path, as lines in space.
+// The traces of the tool, those of ghosts and the desired path, as lines in space.
 function lines() {
-  const { scene: places, shown } = content.sizes, { goal, axes } = content;
-  if (!content.robot) return;
-  const trace = new Float32Array(3 * run.kept), path = new Float32Array(3 * run.kept);
-  for (let k = 0; k < run.kept; k++) {
-    const tool = run.drawn.subarray(k * shown + places - 3, k * shown + places);
-    trace.set(tool, 3 * k);
-    path.set(run.aims ? run.aims.subarray(3 * k, 3 * k + 3) : tool, 3 * k);
-    if (!run.aims && goal?.unit === "m") [...axes].forEach((axis, i) => (path[3 * k + "xyz".indexOf(axis)] = run.drawn[k * shown + goal.at + i]));
-  }
-  run.path = goal && (run.aims || goal.unit === "m") ? path : null;
+  const { sizes, robot, axes } = content, { scene: places, shown } = sizes;
+  if (!robot) return;
+  const own = tracesOf(run, content, axes, factor);
+  run.path = own.path;
+  run.trace = own.trace;
   if (!scene) {
     const low = [0, 0, 0], high = [0, 0, 0];
     const widen = (points) => points.forEach((value, i) => { low[i % 3] = Math.min(low[i % 3], value); high[i % 3] = Math.max(high[i % 3], value); });
-    for (let k = 0; k < run.kept; k++) for (let j = 0; j < content.robot.joints; j++) widen(run.drawn.subarray(k * shown + 12 * j + 9, k * shown + 12 * j + 12));
-    widen(trace);
-    if (run.path) widen(path);
-    scene = new Scene(find("robot"), content.robot, { low, high }, wake);
+    for (let k = 0; k < run.kept; k++) for (let j = 0; j < robot.joints; j++) widen(run.drawn.subarray(k * shown + 12 * j + 9, k * shown + 12 * j + 12));
+    widen(tracesOf(run, content, axes, 1).trace);
+    if (run.path) widen(run.path);
+    scene = new Scene(find("robot"), robot, { low, high }, wake);
     find("nearer").onclick = () => scene.zoom(0.85);
     find("farther").onclick = () => scene.zoom(1.18);
     find("home").onclick = () => scene.back();
   }
-  scene.line("trace", trace);
+  scene.line("trace", run.trace);
   scene.line("path", run.path ?? new Float32Array(0));
+  ghosts.forEach((ghost, k) => {
+    ghost.run.trace = tracesOf(ghost.run, ghost.loop, axes, factor).trace;
+    scene.line(`ghost ${k}`, ghost.run.trace);
+  });
 }
 
-// Draws the scene at a time, interpolated between two recorded instants.
+// Draws the scene at a time, interpolated between two recorded instants. Enlarged traces are drawn over the last fifth of
+// the horizon only: an enlarged start would hide the rest.
 function drawScene(at) {
   const { shown, scene: places } = content.sizes, step = run.every * run.tick;
   const k = Math.max(0, Math.min(run.kept - 1, Math.floor(at / step))), then = Math.min(run.kept - 1, k + 1), part = Math.min(1, at / step - k);
   frames ??= new Float64Array(places);
   for (let i = 0; i < places; i++) frames[i] = run.drawn[k * shown + i] * (1 - part) + run.drawn[then * shown + i] * part;
-  const aim = run.path && [0, 1, 2].map((i) => run.path[3 * k + i] * (1 - part) + run.path[3 * then + i] * part);
-  if (frames.every(Number.isFinite)) scene.draw({ frames, aim, past: k, inks });
+  const drawn = (name, of, ink) => {
+    const { past, point } = pointAt(of.trace, of, at), window = factor > 1 ? Math.ceil(content.horizon / 5 / (of.every * of.tick)) : Infinity;
+    return { name, ink, end: point, past, from: Math.max(0, past - window) };
+  };
+  const aim = run.path && pointAt(run.path, run, at).point;
+  const traces = [...ghosts.map((ghost, n) => drawn(`ghost ${n}`, ghost.run, inks.ghosts[n])), drawn("trace", run, inks.accent)];
+  if (frames.every(Number.isFinite)) scene.draw({ frames, aim, traces, inks });
+}
+
+// Names of the lines in the scene.
+function key() {
+  const entry = (kind, text, colour) => {
+    const line = make("i", { class: kind });
+    if (colour) line.style.setProperty("--key", `var(--c${colour})`);
+    return make("span", {}, line, text);
+  };
+  find("key").replaceChildren(entry("trace", "tool"), ...ghosts.map(({ title }, k) => entry("ghost", title, k + 1)), entry("path", "desired"));
+  find("enlarge").textContent = `deviation × ${factor}`;
+  find("enlarge").setAttribute("aria-pressed", factor > 1);
 }
 
 function colours() {
   const style = getComputedStyle(document.documentElement);
   const ink = (name, alpha = 1) => [...[1, 3, 5].map((k) => parseInt(style.getPropertyValue(name).trim().slice(k, k + 2), 16) / 255), alpha];
-  inks = { body: ink("--body"), joint: ink("--joint"), accent: ink("--accent"), path: ink("--path"), grid: ink("--floor") };
+  inks = { body: ink("--body"), joint: ink("--joint"), accent: ink("--accent"), path: ink("--path"), grid: ink("--floor"), ghosts: ghosts.map((_, k) => ink(`--c${k + 1}`)) };
   for (const plot of plots) plot.touch();
   wake();
 }
@@ -243,7 +305,7 @@ function turn(now) {
   const last = run.times.at(-1);
   if (playing && hover === null) time = time >= last + pace ? 0 : time + passed * pace; // a pause of one second at the end
   const at = Math.min(hover ?? time, last);
-  if (scene) drawScene(at);
+  if (scene && inView) drawScene(at);
   const read = !playing || hover !== null || now - lastRead > 120;
   if (read) lastRead = now;
   for (const plot of plots) {
@@ -255,7 +317,7 @@ function turn(now) {
   find("scrub").style.setProperty("--part", `${last ? (100 * at) / last : 0}%`);
   set("clock", `${at.toFixed(last < 1 ? 3 : 1)} / ${plain(last, "s")}`);
   find("scrub").setAttribute("aria-valuetext", texts.get("clock").replace("/", "of"));
-  if (playing) wake();
+  if (playing && (inView || plots.some(({ seen }) => seen))) wake(); // idle where nothing is in sight
 }
 
 function play(on) {
@@ -273,6 +335,12 @@ find("origin").hidden = !content.origin;
 find("from").textContent = content.origin ? `${content.origin.robot}: ${content.origin.text}` : "";
 find("licences").textContent = (content.origin?.licences ?? []).map(({ name, text }) => `${name}\n\n${text}`).join("\n\n");
 find("view").hidden = find("transport").hidden = !content.robot;
+find("guided").hidden = !content.buttons.length;
+find("guided").prepend(...content.buttons.map(({ name, title }) => make("button", { type: "button", id: `button-${name}`, "aria-pressed": false }, title)));
+for (const button of content.buttons) find(`button-${button.name}`).onclick = () => sliders.press(button, Math.min(hover ?? time, content.horizon));
+new IntersectionObserver(([entry]) => { inView = entry.isIntersecting; wake(); }).observe(find("view"));
+find("enlarge").hidden = content.enlarge === 1;
+find("enlarge").onclick = () => { factor = factor > 1 ? 1 : content.enlarge; key(); lines(); wake(); };
 find("play").onclick = () => play(!playing);
 find("scrub").oninput = () => { time = Number(find("scrub").value); play(false); };
 find("pace").onchange = () => (pace = Number(find("pace").value));
@@ -285,8 +353,15 @@ find("copy").onclick = async () => {
     getSelection().selectAllChildren(find("command"));
   }
 };
+// An editor that embeds this page sends the parameters of an edited graph with the same loop, and the edit's number.
+addEventListener("message", ({ source, data }) => {
+  if (parent === window || source !== parent || !Array.isArray(data?.p) || data.p.length !== content.p.length) return;
+  Object.assign(sliders, { edited: data.p.map(Number), edit: data.edit });
+  request(false);
+});
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
 const sliders = new Sliders(content, find("sliders"), request, (text) => (find("about").textContent = text));
+key();
 arrange();
 if (!plots.length && !content.robot) find("first").append(make("p", { class: "quiet" }, "This graph has no robot, no error, no command and no estimate: there is nothing to draw."));
 sliders.restore();

@@ -137,7 +137,7 @@ class Plot {
     g.restore();
   }
 
-  stroke(g, { values, constant, colour, faint, dash, wide }, ink) {
+  stroke(g, { values, times = this.times, constant, colour, faint, dash, wide }, ink) {
     g.strokeStyle = ink(`--c${colour}`);
     g.globalAlpha = faint ? 0.55 : 1;
     g.lineWidth = wide ? 2.2 : faint ? 1.1 : 1.5;
@@ -151,7 +151,7 @@ class Plot {
       for (let k = 0; k < values.length; k++) {
         const y = this.y(values[k]);
         if (!Number.isFinite(y)) { pen = false; continue; }
-        const x = this.x(this.times[k]), kept = Math.max(-1e4, Math.min(1e4, y));
+        const x = this.x(times[k]), kept = Math.max(-1e4, Math.min(1e4, y));
         if (pen) g.lineTo(x, kept); else g.moveTo(x, kept);
         pen = true;
       }
@@ -171,12 +171,11 @@ class Plot {
       line(g, this.x(time), TOP, this.x(time), TOP + this.height);
     }
     if (!read) return;
-    const k = nearest(this.times, time);
     let place = 0;
-    for (const { values, constant, silent } of this.curves) {
+    for (const { values, times = this.times, constant, silent } of this.curves) {
       if (silent) continue;
-      const value = constant ?? values[k];
-      this.readings[place++].textContent = time > this.times.at(-1) + 1e-9 && constant === undefined ? "" : figure(value / this.scale);
+      const value = constant ?? values[nearest(times, time)];
+      this.readings[place++].textContent = time > times.at(-1) + 1e-9 && constant === undefined ? "" : figure(value / this.scale);
     }
   }
 }

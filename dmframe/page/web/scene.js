@@ -35,7 +35,7 @@ class Scene {
     if (!flat) this.normal = 2;
     this.home = {
       turn: flat && this.normal === 0 ? 0 : flat ? -Math.PI / 2 : -0.75, lift: !flat ? 0.4 : this.normal === 2 ? 1.4 : 0.1,
-      far: (flat ? 2.4 : 2.1) * Math.hypot(...spans), target: box.high.map((high, k) => (high + box.low[k]) / 2),
+      far: (flat ? 2.4 : 1.8) * Math.hypot(...spans), target: box.high.map((high, k) => (high + box.low[k]) / 2),
     };
     this.camera = { ...this.home };
     this.kept = {};
@@ -104,9 +104,9 @@ class Scene {
     gl.bufferData(gl.ARRAY_BUFFER, points, gl.DYNAMIC_DRAW);
     for (const place of [0, 1]) {
       gl.enableVertexAttribArray(place);
-      gl.vertexAttribPointer(place, 3, gl.FLOAT, false, pieces ? 24 : 12, 12 * place);
       gl.vertexAttribDivisor(place, 1);
     }
+    entry.stride = pieces ? 24 : 12;
     entry.count = pieces ? points.length / 6 : Math.max(0, points.length / 3 - 1);
   }
 
@@ -157,9 +157,9 @@ class Scene {
   }
 
   // `frames`: rotation and position of each joint (12 numbers) and position of the tool (3); `aim`: desired position of
-  // the tool, or null; `past`: number of trace segments up to this time; `inks`: colours.
-  draw({ frames, aim, past, inks }) {
-    const { canvas, gl } = this, ratio = Math.min(devicePixelRatio || 1, 2);
+  // the tool, or null; `traces`: polylines from segment `from` to `past`, each with a ball at its end; `inks`: colours.
+  draw({ frames, aim, traces, inks }) {
+    const { canvas, gl } = this, ratio = Math.min(devicePixelRatio || 1, 1.5);
     const [wide, high] = [canvas.clientWidth, canvas.clientHeight];
     if (!wide || !high) return;
     const [w, h] = [Math.round(wide * ratio), Math.round(high * ratio)];
@@ -168,7 +168,7 @@ class Scene {
     const points = [[0, 0, 0]], joints = this.robot.joints;
     for (let k = 0; k < joints; k++) points.push(Array.from(frames.subarray(12 * k + 9, 12 * k + 12)));
     points.push(Array.from(frames.subarray(12 * joints, 12 * joints + 3)));
-    if (!gl) return this.flatly({ points, aim, past, inks, seen, ratio });
+    if (!gl) return this.flatly({ points, aim, traces, inks, seen, ratio });
     gl.viewport(0, 0, w, h);
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
@@ -192,27 +192,29 @@ class Scene {
         if (stretch) solid(this.tube, stretch, inks.body);
         solid(this.ball, ball(points[k + 1], thick * (k + 2 < points.length ? 1.5 : 0.9)), inks.joint);
       }
-    solid(this.ball, ball(points.at(-1), thick * 0.55), inks.accent);
+    for (const { end, ink } of traces) solid(this.ball, ball(end, thick * 0.5), ink);
     if (aim) solid(this.ball, ball(aim, thick * 0.42), inks.path);
     gl.useProgram(this.lines.program);
     gl.uniformMatrix4fv(this.lines.of("camera"), false, seen);
     gl.uniform2f(this.lines.of("size"), wide, high);
-    const drawn = (name, ink, width, front, count) => {
-      const entry = this.buffers[name];
-      if (!entry?.count) return;
+    const drawn = (name, ink, width, front, { from = 0, past = Infinity } = {}) => {
+      const entry = this.buffers[name], last = Math.min(entry?.count ?? 0, past);
+      if (last <= from) return;
       gl.uniform4fv(this.lines.of("ink"), ink);
       gl.uniform1f(this.lines.of("width"), width);
       gl.uniform1f(this.lines.of("front"), front);
       gl.bindVertexArray(entry.array);
-      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, Math.min(entry.count, count ?? Infinity));
+      gl.bindBuffer(gl.ARRAY_BUFFER, entry.buffer);
+      for (const place of [0, 1]) gl.vertexAttribPointer(place, 3, gl.FLOAT, false, entry.stride, 12 * place + from * entry.stride);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, last - from);
     };
     drawn("grid", inks.grid, 1, 0);
     drawn("path", inks.path, 2, 2e-4);
-    drawn("trace", inks.accent, 3, 4e-4, past);
+    for (const { name, ink, ...part } of traces) drawn(name, ink, 3, 4e-4, part);
   }
 
   // The same on a 2D canvas: links as lines, in order of decreasing distance.
-  flatly({ points, aim, past, inks, seen, ratio }) {
+  flatly({ points, aim, traces, inks, seen, ratio }) {
     const { canvas } = this, g = (this.flat ??= canvas.getContext("2d"));
     if (!g) return;
     if (!this.kept.grid) this.line("grid", this.grid(), true);
@@ -225,14 +227,14 @@ class Scene {
       return [((a / c + 1) * wide) / 2, ((1 - b / c) * high) / 2, c];
     };
     const css = ([red, green, blue, alpha = 1]) => `rgba(${[red, green, blue].map((part) => Math.round(part * 255))},${alpha})`;
-    const polyline = (name, ink, width, count = Infinity) => {
+    const polyline = (name, ink, width, { from = 0, past = Infinity } = {}) => {
       const { points = [], pieces } = this.kept[name] ?? {};
       g.strokeStyle = css(ink);
       g.lineWidth = width;
       g.beginPath();
-      for (let k = 0; 3 * k < points.length && k <= count; k++) {
+      for (let k = from; 3 * k < points.length && k <= past; k++) {
         const [x, y] = at(points.subarray(3 * k, 3 * k + 3));
-        if (pieces ? k % 2 : k) g.lineTo(x, y); else g.moveTo(x, y);
+        if (pieces ? k % 2 : k > from) g.lineTo(x, y); else g.moveTo(x, y);
       }
       g.stroke();
     };
@@ -248,9 +250,9 @@ class Scene {
       g.stroke();
       disc(g, to, (1.4 * thick * high) / to[2], css(inks.joint));
     }
-    polyline("trace", inks.accent, 2.5, past);
+    for (const { name, ink, ...part } of traces) polyline(name, ink, 2.5, part);
     if (aim) disc(g, at(aim), 4, css(inks.path));
-    disc(g, at(points.at(-1)), 5, css(inks.accent));
+    for (const { end, ink } of traces) disc(g, at(end), 5, css(ink));
   }
 }
 

@@ -8,6 +8,8 @@ class Sliders {
   constructor(content, holder, request, about) {
     Object.assign(this, { content, request, about });
     this.moved = new Map(); // factor or shift by slider label
+    this.edited = null; // parameters of an edited graph with the same loop, instead of those of the page's file
+    this.fixed = new Map(); // values by parameter label, set by a button
     this.pressed = false;
     this.rows = [];
     this.notices = [];
@@ -67,7 +69,29 @@ class Sliders {
     return element;
   }
 
+  // Sets the values of a button, or resets them if they are set; `now` is the time that the page shows.
+  press(button, now) {
+    const on = this.active(button);
+    for (const set of button.set) {
+      for (const label of [...this.moved.keys()]) if (baseOf(label) === set.label) this.moved.delete(label);
+      if (on) this.fixed.delete(set.label);
+      else this.fixed.set(set.label, { ...set, values: set.values.map((value) => (value === "now" ? Number(now.toFixed(2)) : value)) });
+    }
+    if (button.clock !== null && on) this.moved.delete("clock");
+    else if (button.clock !== null) this.moved.set("clock", button.clock / this.content.tick);
+    this.commit();
+  }
+
+  // Whether all values of a button are set.
+  active({ set, clock }) {
+    const held = ({ label, values }) => this.fixed.get(label)?.values.every((value, k) => values[k] === "now" || values[k] === value);
+    return set.every(held) && (clock === null || Math.abs(this.tick / clock - 1) < 1e-5);
+  }
+
+  get changed() { return this.moved.size > 0 || this.fixed.size > 0; }
+
   move(slider, value) {
+    this.fixed.delete(baseOf(slider.label));
     if (value === neutral(slider)) this.moved.delete(slider.label); else this.moved.set(slider.label, value);
     this.request(this.pressed);
   }
@@ -76,7 +100,8 @@ class Sliders {
   commit() {
     this.notices = [];
     try {
-      const fragment = [...this.moved].map((pair) => pair.map(encodeURIComponent).join("=")).join("&");
+      const fixed = [...this.fixed].map(([label, { values }]) => [label, `[${values}]`]);
+      const fragment = [...this.moved, ...fixed].map((pair) => pair.map(encodeURIComponent).join("=")).join("&");
       history.replaceState(null, "", fragment ? `#${fragment}` : location.pathname + location.search);
     } catch { /* an embedded page has no address of its own */ }
     this.request(false);
@@ -85,12 +110,20 @@ class Sliders {
   // Sets the sliders from the address of the page.
   restore() {
     this.moved.clear();
+    this.fixed.clear();
     const found = new Map(new URLSearchParams(location.hash.slice(1))); // an entry without a value is an anchor
     for (const slider of this.rows) {
       const text = found.get(slider.label), value = Number(text || NaN), place = placeOf(slider, value);
       const within = Number.isFinite(place) && place >= slider.least - 1e-6 && place <= 1 + 1e-6;
       if (within && value !== neutral(slider)) this.moved.set(slider.label, value);
       if (within) found.delete(slider.label);
+    }
+    for (const set of this.content.buttons.flatMap((button) => button.set)) {
+      const text = found.get(set.label), values = /^\[.*\]$/.test(text ?? "") ? text.slice(1, -1).split(",").map(Number) : [];
+      const allowed = (value, k) => (set.values[k] === "now" ? value >= 0 && value <= this.content.horizon : value === set.values[k]);
+      if (values.length !== set.values.length || !values.every(allowed)) continue;
+      this.fixed.set(set.label, { ...set, values });
+      found.delete(set.label);
     }
     if (Number(found.get("at") || NaN) >= 0) found.delete("at"); // an instant, read in page.js
     const lost = [...found].filter(([, text]) => text).map((pair) => pair.join("=")), more = lost.length > 3 ? `, and ${lost.length - 3} more` : "";
@@ -100,17 +133,19 @@ class Sliders {
 
   reset() {
     this.moved.clear();
+    this.fixed.clear();
     this.commit();
   }
 
   // Parameters of the loop; changed ones are rounded to 6 digits, so that the command line gives the same values.
   get numbers() {
-    const p = this.content.p.slice();
+    const p = (this.edited ?? this.content.p).slice();
     for (const { label, kind, at, size } of this.content.sliders) {
       if (!this.moved.has(label)) continue;
       const value = this.moved.get(label);
       for (let k = at; k < at + size; k++) p[k] = Number((kind === "factor" ? p[k] * value : p[k] + value).toPrecision(6));
     }
+    for (const { at, values } of this.fixed.values()) values.forEach((value, k) => (p[at + k] = value));
     return p;
   }
 
@@ -122,9 +157,12 @@ class Sliders {
   get state() {
     const ofStart = (label) => label.startsWith("start["), labels = [...this.moved.keys()], { sliders, starts, p } = this.content;
     const at = new Set(sliders.filter(({ label }) => this.moved.has(label)).flatMap(({ at, size }) => Array.from({ length: size }, (_, k) => at + k)));
+    for (const { at: first, values } of this.fixed.values()) values.forEach((_, k) => at.add(first + k));
+    this.edited?.forEach((value, k) => { if (value !== p[k]) at.add(k); });
+    const changed = at.size > 0;
     const start = labels.some(ofStart) || starts.reads.some((place) => at.has(place)), clock = this.moved.has("clock");
     if (start) for (const row of starts.rows) at.add(p.length + row);
-    return { p: labels.some((label) => label !== "clock" && !ofStart(label)), at, start, clock, run: clock || labels.some(ofStart) };
+    return { p: changed, at, start, clock, run: clock || labels.some(ofStart) };
   }
 
   // Updates all sliders from the parameters and the initial pose.
@@ -136,7 +174,7 @@ class Sliders {
       input.style.setProperty("--zero", `${100 * zero}%`);
       input.style.setProperty("--part", `${100 * part}%`);
       input.style.setProperty("--from", `${part < 1 ? (100 * Math.min(now, zero)) / (1 - part) : 0}%`);
-      slider.element.classList.toggle("moved", this.moved.has(slider.label));
+      slider.element.classList.toggle("moved", this.moved.has(slider.label) || this.fixed.has(baseOf(slider.label)));
       slider.output.textContent = this.text(slider, value, p, start);
       input.setAttribute("aria-valuetext", slider.output.textContent);
     }
@@ -145,7 +183,7 @@ class Sliders {
   text({ label, at, size, unit, joint }, factor, p, start) {
     if (label === "clock") return plain(this.tick, "s");
     const values = joint === undefined ? p.slice(at, at + size) : [start[joint]];
-    if (values.some((value) => value !== values[0])) return `× ${figure(factor)}`;
+    if (values.some((value) => value !== values[0])) return this.fixed.has(label) ? "set" : `× ${figure(factor)}`;
     return superscript(`${String(Number(values[0].toPrecision(4))).replace("-", "−")} ${unit}`).trim();
   }
 
@@ -155,7 +193,8 @@ class Sliders {
     const lacking = command.before ? [command.before] : [];
     const assign = (label, value) => words.push(`--set '${label}=${value}'`);
     const moved = sliders.filter(({ label }) => this.moved.has(label));
-    for (const base of new Set(moved.map(({ label }) => label.replace(/\[\d\]$/, "")))) {
+    for (const { label, at, written } of this.fixed.values()) assign(label, listed(written, (place) => p[at + place]));
+    for (const base of new Set(moved.map(({ label }) => baseOf(label)))) {
       const whole = sliders.filter(({ label }) => label === base || label.startsWith(`${base}[`));
       if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(`${base}, which the robot file sets`);
       else assign(command.swapped.includes(base.split(".")[0]) ? `baseline.${base}` : base, listed(whole[0].written, (place) => p[whole[0].first + place]));
@@ -166,6 +205,11 @@ class Sliders {
     if (this.moved.has("clock")) assign("clock", this.tick);
     return words.join(" ") + (lacking.length ? `   # and ${lacking.join(", and ")}` : "");
   }
+}
+
+// Label of the parameter of a slider that shifts one element.
+function baseOf(label) {
+  return label.replace(/\[\d\]$/, "");
 }
 
 // YAML text of numbers in nested lists.

@@ -5,6 +5,7 @@
 const REACHED = 1e-9; // tolerance of an initial pose on the path [m or rad]
 const MOST_SLOPE = 1e12; // largest entry of the plant's Jacobian [1/s]
 const LARGEST = 1e10; // bound of the states other than joint velocities
+const DENSE = 4e6; // most numbers of a run whose V is computed at each sample; they take 32 MB
 const INSTANTS = 1000; // approximate number of recorded instants of a run; a plot resolves no more
 export const MOST_WORK = 1e6; // samples and rk4 steps in one run; more would block the page for a second or longer
 
@@ -51,7 +52,7 @@ export class Loop {
     let at = Math.ceil(exports.heap.value / 8) * 8;
     const columns = {
       state: states, scratch: states, p: sizes.P, T: 1, t: 1, pose: sizes.pose, residual: sizes.reach,
-      slope: sizes.reach * sizes.pose, rates: sizes.X, shown: sizes.shown, judged: sizes.judged,
+      slope: sizes.reach * sizes.pose, rates: sizes.X, shown: sizes.shown, judged: sizes.judged, stored: sizes.stored ?? 0,
       bounds: states, kept: Math.ceil(states / 2),
     };
     for (const [name, size] of Object.entries(columns)) {
@@ -100,9 +101,9 @@ export class Loop {
     return most;
   }
 
-  // Initial state of a run, and its pose.
-  initial(p, shift, tick) {
-    const { q, notice } = this.initialPose(p, shift);
+  // Initial state of a run, and its pose, which may be given.
+  initial(p, shift, tick, pose = null) {
+    const { q, notice } = pose ? { q: pose, notice: "" } : this.initialPose(p, shift);
     this.view("p", p.length).set(p);
     this.view("pose", q.length).set(q);
     this.view("T", 1)[0] = tick;
@@ -206,12 +207,12 @@ export class Loop {
     return radius(J);
   }
 
-  // Simulates one run. `shift`: offset of the initial joint positions; `tick`, `horizon`: default those of the file; `most`:
-  // largest work, beyond which the run ends early at time `short`. Result: `times`, states in `log` and plotted outputs in
+  // Simulates one run. `shift`: offset of the initial joint positions, or `pose`: these positions; `tick`, `horizon`: default those of the file; `most`:
+  // largest work, beyond which the run ends early at time `short`; `dense`: V at each sample, in `V`. Result: `times`, states in `log` and plotted outputs in
   // `drawn` at the recorded instants.
-  simulate({ p, shift = null, tick = this.content.tick, horizon = this.content.horizon, most = MOST_WORK }) {
+  simulate({ p, shift = null, pose = null, tick = this.content.tick, horizon = this.content.horizon, most = MOST_WORK, dense = false }) {
     const { content } = this, ticks = Math.max(1, Math.round(horizon / tick)), notices = [];
-    const { q, notice, state: start } = this.initial(p, shift, tick);
+    const { q, notice, state: start } = this.initial(p, shift, tick, pose);
     if (notice) notices.push(notice);
 
     const usual = steps(tick, content.step ?? content.solver.plain, content.solver.most);
@@ -230,10 +231,10 @@ export class Loop {
         );
       }
     }
-    let run = this.run(start, tick, ticks, substeps, most);
+    let run = this.run(start, tick, ticks, substeps, most, dense);
     if (run.divergence && content.step === null) {
       const h = Math.max(tick / substeps / 4, tick / content.solver.most);
-      const finer = this.run(start, tick, ticks, steps(tick, h, content.solver.most), most);
+      const finer = this.run(start, tick, ticks, steps(tick, h, content.solver.most), most, dense);
       // a run that diverges as early with shorter steps diverges by the loop, not by the integrator
       if (!finer.divergence || finer.divergence.time >= 1.5 * run.divergence.time) {
         run = finer;
@@ -244,10 +245,11 @@ export class Loop {
   }
 
   // States at the recorded instants of a run; `divergence`: the state that exceeded its bound.
-  run(start, tick, wanted, substeps, most) {
+  run(start, tick, wanted, substeps, most, dense = false) {
     const { exports, places, states } = this;
     const ticks = Math.max(1, Math.min(wanted, Math.ceil(most / (substeps + 1))));
-    const every = Math.max(1, Math.ceil(ticks / INSTANTS)), rows = Math.floor(ticks / every) + 1;
+    const every = Math.max(1, Math.ceil(ticks / INSTANTS)), stored = this.content.sizes.stored ?? 0;
+    const stride = dense && stored && ticks * states < DENSE ? 1 : every, rows = Math.floor(ticks / stride) + 1;
     this.room(16 * ticks + 8 * states * (rows + 1));
     const given = this.free, log = given + 16 * ticks, buffer = exports.memory.buffer;
     const instants = new Float64Array(buffer, given, 2 * ticks);
@@ -258,16 +260,33 @@ export class Loop {
     const state = this.view("state", states);
     state.set(start);
     const done = exports.run(
-      places.state, places.p, tick, substeps, 0, ticks, given, every, places.kept, states, log, places.bounds,
+      places.state, places.p, tick, substeps, 0, ticks, given, stride, places.kept, states, log, places.bounds,
     );
     // a diverged run is repeated up to its end, so that its shorter time has as many recorded instants
-    if (done < ticks && every > 1 && done < ticks / 2) return this.run(start, tick, done + 1, substeps, most);
+    if (done < ticks && every > 1 && done < ticks / 2) return this.run(start, tick, done + 1, substeps, most, dense);
     const divergence = done < ticks ? this.divergence(state, (done + 1) * tick) : null;
     const all = new Float64Array(buffer, log, states * rows);
-    if (!divergence && ticks % every === 0) all.set(state, states * (rows - 1));
-    const kept = Math.floor(done / every) + 1;
+    if (!divergence && ticks % stride === 0) all.set(state, states * (rows - 1));
+    const kept = Math.floor(done / every) + 1, part = Math.round(every / stride);
+    const kepts = part === 1 ? all.slice(0, states * kept) : new Float64Array(states * kept);
+    if (part > 1) for (let k = 0; k < kept; k++) kepts.set(all.subarray(k * part * states, (k * part + 1) * states), k * states);
+    const V = stride < every || (dense && stored) ? this.storedAlong(log, Math.floor(done / stride) + 1, tick * stride, tick) : null;
     const short = ticks < wanted && !divergence ? ticks * tick : 0;
-    return { log: all.slice(0, states * kept), kept, every, substeps, divergence, short, work: done * (substeps + 1) };
+    return { log: kepts, V, kept, every, substeps, divergence, short, work: done * (substeps + 1) };
+  }
+
+  // V and the values of stepping sources at the rows of a log, and the rows at which a source has stepped.
+  storedAlong(log, rows, step, tick) {
+    const { exports, places, states, content } = this, width = content.sizes.stored, values = new Float64Array(rows), restarts = [];
+    this.view("T", 1)[0] = tick;
+    const t = this.view("t", 1), found = this.view("stored", width), before = new Float64Array(width);
+    for (let k = 0; k < rows; k++) {
+      t[0] = k * step;
+      exports.stored(log + 8 * states * k, places.t, places.T, places.p, places.stored);
+      values[k] = found[0];
+      for (let i = 1; i < width; i++) if (found[i] !== before[i]) { if (k && restarts.at(-1) !== k) restarts.push(k); before[i] = found[i]; }
+    }
+    return { values, restarts };
   }
 
   // The state that exceeded its bound; one that is not finite comes first.

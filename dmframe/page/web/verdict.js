@@ -52,26 +52,49 @@ function duration(seconds) {
   return ms < 1000 ? `${ms} ms` : `${ms / 1000} s`;
 }
 
+const SLIGHT = 0.05; // rise of V, as a fraction of its decrease, up to which a verdict is green
+const GREAT = 0.5; // rise from which it is red
+
 // Largest increase of V above an earlier value, and number of instants with an increase; `rounding`: error of each value.
-export function climbOf(V, rounding) {
-  let low = 0, rise = 0, rises = 0, least = V[0];
+// A step of a source at an instant of `restarts` starts a new V.
+export function climbOf(V, rounding, restarts = []) {
+  let low = 0, rise = 0, rises = 0, sum = 0, least = V[0], fall = 0, first = 0;
+  const jumps = [];
   for (let k = 1; k < V.length && Number.isFinite(V[k]); k++) {
-    if (V[k] - V[k - 1] > rounding[k] + rounding[k - 1]) rises++;
+    if (restarts[jumps.length] === k) {
+      jumps.push(k);
+      fall += V[first] - least;
+      [low, first, least] = [k, k, V[k]];
+      continue;
+    }
+    if (V[k] - V[k - 1] > rounding[k] + rounding[k - 1]) {
+      rises++;
+      sum += V[k] - V[k - 1];
+    }
     if (V[k] < V[low]) low = k;
     const above = V[k] - V[low];
     if (above > rounding[k] + rounding[low]) rise = Math.max(rise, above);
     least = Math.min(least, V[k]);
   }
-  const fall = V[0] - least;
-  return { rise, rises, steps: V.length - 1, fraction: fall > 0 ? rise / fall : null };
+  fall += V[first] - least;
+  return { rise, rises, steps: V.length - 1, fraction: fall > 0 ? rise / fall : null, total: fall > 0 ? sum / fall : null, jumps };
 }
 
-function risen(climb, every) {
+function riseText(climb, every) {
   if (!climb) return "";
   const of = `${climb.steps} ${every > 1 ? "recorded instants" : "samples"}`;
-  if (!climb.rises && !climb.rise) return `In this run V rose at none of ${of}.`;
-  const amount = climb.fraction === null ? "and was never below its initial value" : `by at most ${figure(100 * climb.fraction)} % of its decrease`;
-  return `In this run V rose at ${climb.rises} of ${of}, ${amount}.`;
+  const jumps = climb.jumps?.length ? " A step of the load or of another source starts a new V." : "";
+  if (!climb.rises && !climb.rise) return `In this run V rose at none of ${of}.${jumps}`;
+  const amount = climb.fraction === null ? "and was never below its initial value" : `by at most ${figure(100 * climb.fraction)} % of its decrease${climb.total == null ? "" : `, in sum by ${figure(100 * climb.total)} %`}`;
+  return `In this run V rose at ${climb.rises} of ${of}, ${amount}.${jumps}`;
+}
+
+// How much V rose in a run: 0 slightly or not, 1 notably, 2 so much that the run is not as proved.
+function grade({ climb, divergence }) {
+  if (divergence) return 2;
+  if (!climb || !climb.rise) return 0;
+  const { fraction } = climb;
+  return fraction !== null && fraction <= SLIGHT ? 0 : fraction !== null && fraction <= GREAT ? 1 : 2;
 }
 
 // Headline and sentences of the verdict. `moved`: what differs from the file: parameters (`p`; `at`: their indices), initial
@@ -79,7 +102,7 @@ function risen(climb, every) {
 export function judgement(content, judged, moved, spread = null, run = {}) {
   const { verdict } = content, rows = conditionsAt(content, judged, moved, spread), changed = moved.p || moved.start;
   const failing = rows.filter((row) => row.holds === false), open = rows.filter((row) => row.holds === null);
-  const found = (state, headline, ...sentences) => ({ state, headline, sentences: sentences.filter(Boolean), rows });
+  const found = (state, headline, ...sentences) => ({ state, headline, sentences: sentences.filter(Boolean), rows, proved: false });
   if (verdict.outcome !== "proved") {
     const headline = verdict.outcome === "refuted" ? "Refuted:" : "Not proved:";
     const others = changed && "This verdict is for the file's values; the command below with verify in place of run decides at these.";
@@ -93,6 +116,9 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
     const more = failing.length > 2 ? `; and ${failing.length - 2} more` : "";
     return found("fails", "The proof does not apply at these values", `${which}${more}.`, "V may rise here.");
   }
+  const risen = grade(run), how = sampledLoop ? `sampled every ${duration(run.tick ?? content.clock)}` : "with these steps of the integrator";
+  const climbs = run.climb?.fraction == null ? "V rises above its initial value" : `V rises by ${Number((100 * run.climb.fraction).toPrecision(2))} % of its decrease`;
+  const unlike = `This run is not as proved: ${how}, ${run.divergence ? "it diverges" : climbs}`;
   const kappa = verdict.kappa === null ? NaN : judged[verdict.kappa];
   const weight = kappa > 0 ? `, with any κ above ${figure(kappa)}` : "";
   if (open.length) {
@@ -100,9 +126,9 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
     const near = open.every(({ margin }) => margin !== null);
     const where = near ? "too close to zero for this page" : "decided for the file's values only";
     const rest = `${open.length > 1 ? `${open.length} conditions are` : "One condition is"} ${where}`;
-    return found("undecided", "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
+    return found(risen === 2 ? "fails" : "undecided", risen === 2 ? unlike : "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
   }
-  const clock = clockAt(content, moved, run.tick), rose = risen(run.climb, run.every);
+  const clock = clockAt(content, moved, run.tick), rose = riseText(run.climb, run.V ? 1 : run.every);
   const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them sampled, not proved)` : "";
   const over = verdict.uncertain?.length ? ` and anywhere in the intervals of ${verdict.uncertain.join(", ")}` : "";
   const hold = `All ${rows.length} conditions hold at ${changed ? "these values" : "the file's values"}${over}${samples}${weight}.`;
@@ -114,9 +140,11 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
       : moved.run ? `That ${follows} was concluded ${verdict.sampled ? "" : "in continuous time and "}for the initial state of the file.` : `It follows that ${follows}.`
   );
   const words = `proved${changed ? " at these values" : ""}${sampledLoop ? " in continuous time" : ""}`;
-  const headline = verdict.headline.replace("proved", words) + (clock.beyond ? `; at ${duration(run.tick)} unstable near its set-point` : "");
-  const state = clock.beyond || run.divergence ? "clock" : "proved";
-  return found(state, headline.charAt(0).toUpperCase() + headline.slice(1), clock.text, rose, identity, hold, end);
+  const beyond = clock.beyond ? `; at ${duration(run.tick)} unstable near its set-point` : "";
+  const headline = risen === 2 ? unlike : verdict.headline.replace("proved", words) + (beyond || (risen ? `; ${how}, ${climbs}` : ""));
+  const state = risen === 2 ? "fails" : risen || clock.beyond ? "clock" : "proved";
+  const unknown = content.periods?.reason ? clock.text : ""; // it is long, and comes last
+  return { ...found(state, headline.charAt(0).toUpperCase() + headline.slice(1), unknown ? "" : clock.text, rose, identity, hold, end, unknown), proved: true };
 }
 
 // A text with a full stop. Its first letter is not capitalised: it may belong to a symbol or a block.

@@ -1,4 +1,4 @@
-"""The same closed loop in other tools, one file each; `PEERS` names them in the order of the table."""
+"""The same closed loop in other tools, one file each; `PEERS` lists them in the order of the table."""
 
 from __future__ import annotations
 
@@ -25,6 +25,6 @@ PEERS = (
 
 
 def find(key: str) -> type[Peer]:
-    """The peer of that module; importing it imports nothing that may be missing."""
+    """The tool of that module; its import needs no optional package."""
     found: type[Peer] = import_module(f"tests.benchmarks.peers.{key}").Loop
     return found

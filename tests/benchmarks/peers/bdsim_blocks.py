@@ -66,7 +66,7 @@ class Loop(Peer):
         simulator = bdsim.BDSim(banner=False, quiet=True, graphics=False, animation=False, progress=False)
         diagram = simulator.blockdiagram()
         clock = diagram.clock(loop.T, unit="s")
-        # The clock's first tick is at T, so the command from t = 0 is the block's start.
+        # The clock's first sample is at T, so the command from t = 0 on is the block's initial value.
         first = law.step(0.0, loop.start["q"], loop.start["dq"], loop.start["q_c"])
         found[0] = loop.start["q"]
         robot, sampled = Robot(), Sampled(clock=clock, x0=first)

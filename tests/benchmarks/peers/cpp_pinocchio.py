@@ -1,4 +1,4 @@
-"""The loop by hand in C++ on Pinocchio's headers, compiled for this machine, run by one call."""
+"""The loop in hand-written C++ with Pinocchio's headers, compiled for this machine, run by one call."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.benchmarks.peer import Peer
 
 SOURCE = Path(__file__).with_name("loop.cpp")
 FLAGS = ("-O3", "-march=native", "-std=c++17", "-DNDEBUG", "-shared", "-fPIC", "-w")
-# Pinocchio has more joints, and calls with more arguments, than Boost's lists hold by default.
+# Pinocchio needs longer type lists than Boost's default.
 LISTS = (
     "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
     "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
@@ -31,7 +31,7 @@ FRAMES = {(1.0, 0.0, 0.0): 0.0, (0.0, 1.0, 0.0): 1.0, (0.0, 0.0, 1.0): 2.0}
 
 
 def headers() -> list[Path]:
-    """Where Pinocchio, Boost and Eigen have their headers; empty where one is missing."""
+    """Folders with the headers of Pinocchio, Boost and Eigen; empty if one is missing."""
     spec = importlib.util.find_spec("pinocchio")
     if spec is None or spec.origin is None:
         return []
@@ -48,7 +48,7 @@ def compiler() -> str | None:
 
 
 def numbers(robot: list[dict[str, Array]], loop: Array) -> Array:
-    """Links as loop.cpp reads them: axis kind, axis, R, r, m, c, I; then what else there is."""
+    """Links in the format of loop.cpp: axis kind, axis, R, r, m, c, I; then the remaining numbers."""
     rows = [
         np.concatenate(
             [[FRAMES.get(tuple(link["axis"]), 3.0)], link["axis"], link["R"].ravel(), link["r"], link["m"], link["c"],
@@ -60,7 +60,7 @@ def numbers(robot: list[dict[str, Array]], loop: Array) -> Array:
 
 
 def library(n: int) -> ctypes.CDLL:
-    """loop.cpp, compiled for n joints; kept for the next run, since it takes more than a minute."""
+    """loop.cpp, compiled for n joints; cached for the next run, since compilation takes more than a minute."""
     command = compiler()
     if command is None:
         raise RuntimeError("no C++ compiler")
@@ -83,7 +83,7 @@ def pointer(array: Array) -> object:
 
 
 class Loop(Peer):
-    """Sizes fixed at compile time where Pinocchio allows it, nothing allocated in the loop."""
+    """Sizes fixed at compile time where Pinocchio allows it; no allocation in the loop."""
 
     title: ClassVar[str] = "C++ on Pinocchio"
     package: ClassVar[str] = "pin"
@@ -119,7 +119,7 @@ class Loop(Peer):
         return q
 
     def calls(self, repeats: int) -> dict[str, float]:
-        """Seconds of one of each of Pinocchio's calls, and of the whole controller step."""
+        """Seconds of each of Pinocchio's calls, and of the whole controller step."""
         seconds = np.zeros(5)
         self.library.calls(pointer(self.numbers), pointer(self.start), repeats, pointer(seconds))
         names = ("regressor", "polarised in 5", "polarised in 2", "aba", "controller")

@@ -40,7 +40,7 @@ class Loop(Peer):
         loop, n, law = self.loop, self.loop.n, Controller(self.loop)
 
         class Sampled(LeafSystem):  # type: ignore[misc]
-            """Reads (q, dq) and q_c, holds dq_c."""
+            """Reads (q, dq) and q_c, outputs dq_c with zero-order hold."""
 
             def __init__(self) -> None:
                 super().__init__()
@@ -64,7 +64,7 @@ class Loop(Peer):
         servo = builder.AddSystem(PidController(kp=loop.K_P, ki=loop.K_I, kd=loop.K_D))
         x = [Variable(f"x_{j}") for j in range(2 * n)]
         losses = [-loop.B[j] * x[n + j] - loop.D[j] * tanh(x[n + j] / loop.v_0) for j in range(n)]
-        # Drake refuses one without states in continuous time, so it gets one that stands still.
+        # Drake refuses a system without continuous states, so it has a constant one.
         still = Variable("still")
         friction = builder.AddSystem(SymbolicVectorSystem(state=[still], input=x, dynamics=[0], output=losses))
         torque = builder.AddSystem(Adder(2, n))
@@ -89,7 +89,7 @@ class Loop(Peer):
         integrator.set_fixed_step_mode(True)
 
     def robot(self) -> Any:
-        """A chain with our numbers."""
+        """A chain with the numbers of the loop."""
         from pydrake.all import (
             FixedOffsetFrame,
             MultibodyPlant,

@@ -8,7 +8,7 @@ from tests.benchmarks.peers import jax_by_hand
 
 
 class Loop(jax_by_hand.Loop):
-    """As one writes it first."""
+    """A direct first version."""
 
     title: ClassVar[str] = "JAX, arrays"
     note: ClassVar[str] = "rigid-body code by hand in 3 x 3 matrices, as one writes it first"

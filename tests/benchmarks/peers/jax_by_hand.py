@@ -13,7 +13,7 @@ CHUNK = 125
 
 
 class Loop(Peer):
-    """Compiled for a chunk of samples, so that the length of a run compiles nothing anew."""
+    """Compiled for a chunk of samples, so that another length of the run needs no compilation."""
 
     title: ClassVar[str] = "JAX, scalar code"
     package: ClassVar[str] = "jax"

@@ -8,7 +8,7 @@ from tests.benchmarks.peers import jaxonomy_blocks
 
 
 class Loop(jaxonomy_blocks.Loop):
-    """As one writes it first."""
+    """A direct first version."""
 
     title: ClassVar[str] = "Jaxonomy, arrays"
     note: ClassVar[str] = "the same functions as the row of JAX in arrays; without its compilation"

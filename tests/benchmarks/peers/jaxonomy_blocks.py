@@ -33,7 +33,7 @@ def diagram(loop: Numbers, *, arrays: bool = False) -> tuple[Any, Any]:
             self.declare_continuous_state_output(name="x")
 
     class Controller(jx.LeafSystem):  # type: ignore[misc]
-        """Its discrete state is (z, dq_c): what is held is a state, as a zero-order hold is."""
+        """Its discrete state is (z, dq_c): the held command is a state, as in a zero-order hold."""
 
         def __init__(self) -> None:
             super().__init__(name="controller")
@@ -77,7 +77,7 @@ class Loop(Peer):
         self.context = self.diagram.create_context()
 
     def warm(self, seconds: float) -> None:
-        """It compiles for one length of a run, and keeps what it compiled."""
+        """Compiles for one length of a run, and caches the result."""
         self.run(seconds)
 
     def run(self, seconds: float) -> Array:

@@ -1,4 +1,4 @@
-"""The loop in MuJoCo: its own RK4, with servo and friction in a Python control callback at each of its stages."""
+"""The loop in MuJoCo with its RK4; servo and friction in a Python control callback at each stage."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Loop(Peer):
         self.data = mujoco.MjData(self.model)
 
     def xml(self) -> str:
-        """A chain with our numbers."""
+        """A chain with the numbers of the loop."""
 
         def text(values: Any) -> str:
             return " ".join(f"{value:.17g}" for value in values)

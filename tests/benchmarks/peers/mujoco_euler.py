@@ -1,4 +1,4 @@
-"""The loop in MuJoCo by its semi-implicit Euler method: one evaluation a step, and an error of first order."""
+"""The loop in MuJoCo with its semi-implicit Euler method: one evaluation per step, first-order error."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.benchmarks.peers import mujoco_callback
 
 
 class Loop(mujoco_callback.Loop):
-    """As one would choose it for speed."""
+    """The usual choice for speed."""
 
     title: ClassVar[str] = "MuJoCo, Euler"
     method: ClassVar[str] = "semi-implicit Euler"

@@ -11,7 +11,7 @@ from tests.benchmarks.peer import Peer
 
 
 class Loop(Peer):
-    """No framework at all."""
+    """Without a simulation framework."""
 
     title: ClassVar[str] = "NumPy + Pinocchio"
     package: ClassVar[str] = "pin"

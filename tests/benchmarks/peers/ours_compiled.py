@@ -1,4 +1,4 @@
-"""Ours, as generated C."""
+"""dmframe, with generated C."""
 
 from __future__ import annotations
 

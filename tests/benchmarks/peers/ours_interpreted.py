@@ -1,4 +1,4 @@
-"""Ours, with CasADi's virtual machine."""
+"""dmframe, with CasADi's virtual machine."""
 
 from __future__ import annotations
 

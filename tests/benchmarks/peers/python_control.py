@@ -11,7 +11,7 @@ from tests.benchmarks.peer import Peer
 
 
 class Loop(Peer):
-    """It has no sampled controller over a continuous plant, so the plant's update is our RK4 over one period."""
+    """It has no sampled controllers for continuous plants, so the plant's update is our RK4 over one period."""
 
     title: ClassVar[str] = "python-control"
     package: ClassVar[str] = "control"
@@ -33,7 +33,7 @@ class Loop(Peer):
         last: dict[str, Any] = {}
 
         def load(t: float, z: Array, y: Array) -> Array:
-            """Output and next state; both of python-control's calls at one instant share one computation."""
+            """Output and next state; python-control's two calls at an instant share one computation."""
             if last.get("t") != t or not np.array_equal(last["z"], z) or not np.array_equal(last["y"], y):
                 for name, part in zip(STATES, np.split(z, sizes[:-1]), strict=True):
                     setattr(law, name, part)

@@ -1,4 +1,4 @@
-"""Poles, margins, passivity and periods against hand calculations, SciPy and runs."""
+"""Poles, margins, passivity and periods, compared with hand calculations, SciPy and runs."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def packaged(name: str, *overrides: str) -> tuple[Diagram, Any]:
 
 
 def held_loop(period: float) -> np.ndarray:
-    """The flywheel on a clock by SciPy: states q, dq, i; dq_c = -alpha q held."""
+    """The sampled flywheel by SciPy: states q, dq, i; dq_c = -alpha q held."""
     A = np.array([[0, 1, 0], [0, -K_P / J, -K_I / J], [0, 1, 0]])
     B = np.array([[0], [K_P / J], [-1]])
     Ad, Bd, *_ = scipy.signal.cont2discrete((A, B, np.eye(3), np.zeros((3, 1))), period, method="zoh")
@@ -113,7 +113,7 @@ def test_a_double_real_pole_is_reported_as_one_and_a_pair_as_a_pair() -> None:
         whole = np.array(A)
         return Linear(("a[0]", "a[1]"), (), (), np.zeros(2), 0, 0.0, whole, none, lambda _: none, none, whole, none)
 
-    split = loop([[-0.1, 0.3], [-(0.2**2) / 0.3 * 1.00000000000001, -0.5]])  # (s + 0.3)^2 but for the last digits
+    split = loop([[-0.1, 0.3], [-(0.2**2) / 0.3 * 1.00000000000001, -0.5]])  # (s + 0.3)^2 up to the last digits
     assert np.any(split.poles.imag)
     assert split.pole(0) == split.pole(-1) == pytest.approx(-0.3)
     assert split.pole(0).imag == 0  # type: ignore[union-attr]
@@ -128,13 +128,13 @@ def test_the_closed_loops_poles_are_the_characteristic_polynomials_roots() -> No
     # J s^2 q = -(K_P + K_I/s)(s + alpha) q
     expected = np.roots([J, K_P, K_P * ALPHA + K_I, K_I * ALPHA])
     assert np.allclose(np.sort_complex(linear.poles), np.sort_complex(expected))
-    assert linear.at_rest == 1  # q_c is integrated and goes nowhere
+    assert linear.at_rest == 1  # q_c is integrated and has no effect
     assert linear.drift < 1e-12
 
 
 def test_the_trajectory_acts_through_the_servo_as_by_hand() -> None:
     linear = linearise(flywheel())
-    assert linear.trajectories == ("path.q_d[0]",)  # it stands still: dq_d is zero
+    assert linear.trajectories == ("path.q_d[0]",)  # constant: dq_d is zero
     row = linear.B[linear.states.index("arm.dq[0]")]
     assert np.allclose(row, [K_P * ALPHA / J])  # of dq_c = -alpha (q - q_d)
     assert np.allclose(linear.B[linear.states.index("servo.i[0]")], [-ALPHA])
@@ -312,7 +312,7 @@ def test_a_search_that_overflows_is_reported_as_a_loop_without_an_equilibrium() 
 
 @final
 class Leak(AbstractBlock):
-    """A tank that goes on leaking where it is empty."""
+    """A tank that continues to leak when it is empty."""
 
     states = (State("h", "", "m"),)
 
@@ -336,7 +336,7 @@ def test_a_diagram_without_a_servo_or_a_goal_is_refused() -> None:
 
 
 class Still(AbstractBlock):
-    """Commands nothing."""
+    """Outputs no command."""
 
     outputs = (Output("dq_c", "1", "rad/s", Access.COMMANDED),)
 
@@ -401,7 +401,7 @@ def test_friction_of_the_velocity_alone_is_left_out_of_the_joint_loops_and_named
         ("{elastic_joints: {stiffness: 1e3, inertia: 1}}", "elastic_joints"),
     ],
 )
-def test_what_stands_between_servo_and_arm_is_named(reality: str, between: str) -> None:
+def test_blocks_between_servo_and_arm_are_named(reality: str, between: str) -> None:
     graph = Graph.read("ur10_slow_kinematic", [f"reality={reality}"])
     with pytest.raises(MissingError, match=f"expected one that drives arm itself, found {between} in between"):
         servo_transfer(graph.diagram, start=graph.start)

@@ -1,4 +1,4 @@
-"""The adaptation gain that a clock bears, against a formula by hand and against runs that diverge."""
+"""The largest adaptation gain for a sampling period, compared with a formula and with runs that diverge."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_at_the_set_point_it_is_the_formulas_by_hand() -> None:
     K_P = np.array([60.0, 30.0])  # w = 1/(K K_P)
     largest = np.max(np.linalg.eigvalsh(Y.T @ np.diag(1 / K_P) @ Y))
     assert found.at_rest == pytest.approx(2 / (CLOCK * 100 * largest), rel=1e-9)
-    assert found.on_path == pytest.approx(found.at_rest, rel=1e-3)  # the path stands still
+    assert found.on_path == pytest.approx(found.at_rest, rel=1e-3)  # the path is constant
     assert found.value == 100
 
 

@@ -1,4 +1,4 @@
-"""What makes the proof of large sampled loops: sums that are kept, memories that are left out, floats with radii."""
+"""Proofs of large sampled loops: cached sums, omitted delay lines, floats with radii."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ T = 0.05
 
 
 class Follower(AbstractBlock):
-    """A target that integrates the command, and what follows it: d target = v, dy = 3 (target - y)."""
+    """A target that integrates the command, and a follower: d target = v, dy = 3 (target - y)."""
 
     side = Side.PLANT
     inputs = (Input("v"),)
@@ -43,7 +43,7 @@ class Follower(AbstractBlock):
 
 
 class Modelling(AbstractBlock):
-    """v = -k y - the mean of W older y; counts along where the target must be, and sums up by how much y misses it."""
+    """v = -k y - the mean of W older y; predicts the target, and sums its distance from y."""
 
     inputs = (Input("y"), PERIOD)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -71,7 +71,7 @@ class Modelling(AbstractBlock):
 
 
 class LongModelling(Modelling):
-    """The same with a long memory."""
+    """The same with a long delay line."""
 
     W: ClassVar[int] = 260
 
@@ -98,10 +98,10 @@ def proof(diagram: Diagram) -> Any:
 
 
 def by_hand(k: float, count: int) -> np.ndarray:
-    """Target, y, sent and the ring from sample to sample, the aim and z left out."""
+    """Target, y, sent command and delay line from sample to sample, without the predicted target and z."""
     A, hold = np.eye(2), np.exp(-3 * T)
     A[1] = [1 - hold, hold]
-    B = np.array([T, T - (1 - hold) / 3])  # the target rises by v t, and y behind it
+    B = np.array([T, T - (1 - hold) / 3])  # the target increases by v t, and y lags
     F = np.zeros((count + 3, count + 3))
     F[2] = np.concatenate([[0, -k, 0], np.full(count, -1 / count)])
     F[:2, :2] = A
@@ -117,7 +117,7 @@ def largest(F: np.ndarray) -> float:
 
 def test_a_model_of_the_target_differs_from_it_by_what_no_sample_changes() -> None:
     found = proof(loop(Modelling()))
-    assert (found.kept, found.resting, found.reason) == (1, 1, "")  # z rests anywhere
+    assert (found.kept, found.resting, found.reason) == (1, 1, "")  # any z is an equilibrium
     expected = largest(by_hand(2.0, 4))
     assert expected < found.radius < expected + 0.002 * (1 - expected)
 
@@ -152,7 +152,7 @@ def test_without_its_store_a_matrix_has_the_same_eigenvalues() -> None:
     reduced = middles(dense(found := without_store(sparse(exactly(F))), len(found)))
     sizes = [np.sort(np.abs(np.linalg.eigvals(A)))[::-1] for A in (F, reduced)]
     np.testing.assert_allclose(sizes[0][:10], sizes[1][:10], atol=1e-6)
-    F[core + 1, core + 1] = 0.5  # it feeds itself, and is no store
+    F[core + 1, core + 1] = 0.5  # it depends on itself, and is no delay line
     rows = without_store(sparse(exactly(F)))
     assert largest(middles(dense(rows, len(rows)))) == pytest.approx(largest(F), abs=1e-9)
 
@@ -237,5 +237,5 @@ def test_the_sampled_law_comes_to_rest_and_not_with_an_estimator_that_overshoots
     radius = largest(middles(F))
     assert radius == pytest.approx(linear.spectral_radius(0.09), abs=1e-6)
     assert proved_schur(F) is (gain < 2)
-    if gain < 2:  # the task's own pole, as an independent prototype has it
+    if gain < 2:  # the pole of the task, as in an independent prototype
         assert radius == pytest.approx(0.98956, abs=1e-5)

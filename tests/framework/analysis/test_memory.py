@@ -1,4 +1,4 @@
-"""A transition without its delay lines: the same eigenvalues, of a matrix as small as what is read."""
+"""A transition matrix without its delay lines: the same eigenvalues from a matrix of the size of what is read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ N, LINES, TICKS = 5, 6, 9
 
 
 def remembering(rng: np.random.Generator) -> Array:
-    """A loop that reads one sum of its lines at each tick, and two lines of four ticks of sums of these lines."""
+    """A loop that reads one sum of its lines at each sample, and two lines of four samples with sums of these lines."""
     first = N + LINES * (TICKS + 1)
     Phi = np.zeros((first + 8, first + 8))
     Phi[:N, :N] = 0.3 * rng.standard_normal((N, N))
@@ -29,7 +29,7 @@ def remembering(rng: np.random.Generator) -> Array:
 
 
 def by_krylov(Phi: Array, store: Array) -> Array:
-    """Reference: of what is stored, the rows that the other states read at some tick, found one tick after another."""
+    """Reference: the rows of stored values that the other states read at some sample, found sample by sample."""
     core = np.setdiff1d(np.arange(len(Phi)), store)
     M, reads, kept = Phi[np.ix_(store, store)], Phi[np.ix_(core, store)], np.zeros((0, len(store)))
     new = reads

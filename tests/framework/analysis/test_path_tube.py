@@ -1,4 +1,4 @@
-"""That a joint path is enclosed over every interval of time, against the closed form of two links."""
+"""The enclosure of a joint path over every time interval, compared with the closed form for two links."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Way = Callable[[Any], Any]
 
 
 def follow(way: Way, tube: float = TUBE, duration: float = DURATION) -> JointPath:
-    """Two links whose tool goes from FIRST by `way` along x."""
+    """Two links whose tool moves from FIRST by `way` along x."""
     q, t, p = ca.SX.sym("q", 2), ca.SX.sym("t"), ca.SX.sym("p", 0)
     x = ca.vertcat(L1 * ca.cos(q[0]) + L2 * ca.cos(q[0] + q[1]), L1 * ca.sin(q[0]) + L2 * ca.sin(q[0] + q[1]))
     goal = ca.vertcat(FIRST[0] + way(t), FIRST[1])
@@ -40,7 +40,7 @@ def follow(way: Way, tube: float = TUBE, duration: float = DURATION) -> JointPat
 
 
 def exact(way: Way, times: np.ndarray) -> np.ndarray:
-    """The joints, elbow to one side, by the law of cosines."""
+    """The joint angles with the elbow on one side, by the law of cosines."""
     t = ca.SX.sym("t")
     moved = ca.Function("way", [t], [way(t)])(times[None]).full().ravel()
     x, z = FIRST[0] + moved, FIRST[1]
@@ -49,7 +49,7 @@ def exact(way: Way, times: np.ndarray) -> np.ndarray:
 
 
 def lies_apart(way: Way, path: JointPath, span: float | None = None) -> bool:
-    """Whether the exact joint path leaves what is claimed of it, at 10 000 times."""
+    """True if the exact joint path leaves its enclosure at one of 10 000 times."""
     assert path.line_distance is not None
     span = path.span if span is None else span
     times = np.sort(np.concatenate([np.random.default_rng(0).uniform(0, span, 9000), np.linspace(0, span, 1000)]))
@@ -59,7 +59,7 @@ def lies_apart(way: Way, path: JointPath, span: float | None = None) -> bool:
 
 
 def reach_out(t: Any, at: float, how_far: float, lasts: float) -> Any:
-    """To and fro, in a triangle."""
+    """A path along a triangle and back."""
     return how_far * ca.fmax(0, 1 - ca.fabs(t - at) * 2 / lasts)
 
 

@@ -1,4 +1,4 @@
-"""The region of kinematic parameters on which a Jacobian keeps its rank, against closed forms and sampled values."""
+"""The region of kinematic parameters with full-rank Jacobian, compared with closed forms and samples."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dmframe.simulate import start_state
 TUBE = 0.02
 
 TINY = 1e-6
-"""Stating for where the closed form is of rank loss itself."""
+"""Stating a point at which the closed form loses rank."""
 
 ARM2 = """
 dmframe: 1
@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def arm2(folder: Any, q1: float, q2: float, **options: Any) -> RankRegion:
-    """The two-link arm at rest at (q1, q2); its first joint turns about -y, so that z goes up."""
+    """The two-link arm at rest at (q1, q2); its first joint turns about -y, so z is upwards."""
     x = L1 * math.cos(q1) + L2 * math.cos(q1 + q2)
     z = L1 * math.sin(q1) + L2 * math.sin(q1 + q2)
     path = folder / f"arm_{q1:g}_{q2:g}.yaml"
@@ -81,9 +81,9 @@ def theorem_3(shape: str) -> RankRegion:
 
 
 def sampled(name: str, found: RankRegion, count: int = 1000, seed: int = 0) -> np.ndarray:
-    """Singular values at random poses of the tube and random parameters of the set, half of both on the rim.
+    """Singular values at random poses of the tube and random parameters of the set, half of both on the boundary.
 
-    The Jacobian is Pinocchio's, its joints placed where the parameters say.
+    The Jacobian is Pinocchio's, with joints placed according to the parameters.
     """
     chain = packaged(name)[1].robot
     rng, poses = np.random.default_rng(seed), found.path.poses
@@ -105,7 +105,7 @@ def sampled(name: str, found: RankRegion, count: int = 1000, seed: int = 0) -> n
 
 
 def drawn(rng: np.random.Generator, size: int, shape: str) -> np.ndarray:
-    """From the unit box or ball, every other time from its corners or its rim."""
+    """A point of the unit box or ball, every other time one of its corners or of its boundary."""
     rim = rng.random() < 0.5
     if shape == "box":
         return rng.choice([-1.0, 1.0], size) if rim else rng.uniform(-1, 1, size)
@@ -341,7 +341,7 @@ def test_a_period_is_read_from_the_expression(angles: Any, period: float | None)
 
 
 def matrices(q: Any, a: Any) -> list[Any]:
-    """One of random entries, and one of which the bound is sharp."""
+    """A matrix with random entries, and one for which the bound is sharp."""
     rng = np.random.default_rng(1)
     A = [ca.SX(ca.DM(rng.normal(size=(2, 3)))) for _ in range(7)]
     waves = [ca.sin(q[0]), ca.cos(q[1]), a[0], a[1] * ca.sin(q[1]), a[2], ca.sin(q[0] + q[1])]
@@ -350,7 +350,7 @@ def matrices(q: Any, a: Any) -> list[Any]:
 
 
 def violations(shape: Any) -> int:
-    """Boxes of q with a singular value below the certified one, at a corner or within."""
+    """Boxes of q with a singular value below the certified one, at a corner or inside."""
     rng = np.random.default_rng(2)
     q, a, p = ca.SX.sym("q", 2), ca.SX.sym("a", 3), ca.SX.sym("p", 0)
     low = rng.uniform(-2, 2, (300, 2))

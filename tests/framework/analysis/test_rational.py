@@ -28,7 +28,7 @@ def test_states_that_no_input_reaches_or_no_output_shows_leave_no_pole() -> None
 
 
 def test_a_pole_that_a_zero_cancels_is_left_out() -> None:
-    # (s + 2) / ((s + 2)(s + 5)) in a form whose sparsity hides it
+    # (s + 2) / ((s + 2)(s + 5)) in a form with a different sparsity pattern
     T = np.array([[1.0, 0.3], [0.2, 1.0]])
     A, b, c = T @ np.diag([-2.0, -5.0]) @ np.linalg.inv(T), T @ [0.0, 1.0], np.array([1.0, 1.0]) @ np.linalg.inv(T)
     found = transfer(A, b, c, 0.0)
@@ -45,8 +45,8 @@ def test_a_pole_that_a_zero_cancels_is_left_out() -> None:
         ([1], [1, 2, 1], False, -0.125),  # Re = (1 - w^2)/(1 + w^2)^2, least at w^2 = 3
         ([1, 0], [1, 0, 4], True, 0.0),  # a lossless oscillator
         ([-1, 0], [1, 0, 4], False, 0.0),
-        ([1, 1], [1, -1], False, -1.0),  # a pole on the right
-        ([1, 0, 0], [1, 1], False, 0.0),  # grows faster than a passive one may
+        ([1, 1], [1, -1], False, -1.0),  # a pole in the right half-plane
+        ([1, 0, 0], [1, 1], False, 0.0),  # grows faster than a passive transfer function can
     ],
 )
 def test_positive_realness_by_hand(num: list[float], den: list[float], holds: bool, least: float) -> None:

@@ -1,4 +1,4 @@
-"""The least K_c against NumPy's roots, against Remark 5's closed forms, and against `verify` on either side of it."""
+"""The least K_c, compared with NumPy's roots, with Remark 5's closed forms, and with `verify` on either side of it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_one_unit_less_in_the_last_digit_is_too_small_exactly(K_D: Any, K_P: Any
 
 @pytest.mark.parametrize("wrong", ["K_D", "K_P", "K_I", "B", "K"])
 def test_the_other_end_of_any_interval_would_be_too_small(wrong: str) -> None:
-    """A seeded fault in the choice of the corner: each of the five ends matters."""
+    """A seeded fault in the choice of the corner: each of the five ends has an effect."""
     box = {"K_D": (2.0, 4.0), "K_P": (1.0, 3.0), "K_I": (5.0, 9.0), "B": (0.5, 2.0), "K": (0.4, 0.8)}
     found = least_K_c(**box, digits=9)  # type: ignore[arg-type] - keywords by name
     low, high = box[wrong]
@@ -129,12 +129,12 @@ def test_a_graphs_servo_is_read_joint_by_joint() -> None:
     for tie, (K_D, K_P, K_I, B) in zip(found, servo, strict=True):
         assert 0 <= float(tie.least) - root(K_D, K_P, K_I, B, 1) <= 1e-4
         assert 0 <= float(tie.least_without_friction) - root(K_D, K_P, K_I, 0, 1) <= 1e-4
-    # the second is below the rounded 0.2819, and yet above the root 0.281855...
+    # the second is below the rounded 0.2819, but above the root 0.281855...
     assert [tie.holds for tie in found] == [True, True, False]
 
 
 def test_over_intervals_it_is_where_verifys_own_condition_turns() -> None:
-    """`verify` decides M_bar with intervals of its own, from the block's formula."""
+    """`verify` decides M_bar with its own intervals, from the block's formula."""
     (least, *_) = {tie.least for tie in of_graph(uncertain=UNCERTAIN)}
     below = least - Fraction(1, 10**4)
     assert least == Fraction("0.852")  # root of 301 k^2 + 800 k - 900: 0.85193...

@@ -1,4 +1,4 @@
-"""What is proved of sampled loops, against python-control, SciPy and the tick; and what must not be provable."""
+"""Stability proofs of sampled loops, compared with python-control, SciPy and runs; and loops not to be proved."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ T = 0.05
 
 
 class SampledPi(AbstractBlock):
-    """v = -k (y - r) - i, i+ = i + T (y - r): in sampled time."""
+    """v = -k (y - r) - i, i+ = i + T (y - r): in discrete time."""
 
     inputs = (Input("y"), PERIOD)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -53,7 +53,7 @@ class SampledPi(AbstractBlock):
 
 
 class Late(AbstractBlock):
-    """Hands on the command of one sample ago."""
+    """Outputs the command of the previous sample."""
 
     side = Side.PLANT
     inputs = (Input("v"), Input("n", drawn="normal"))
@@ -78,7 +78,7 @@ class Cart(AbstractBlock):
 
 
 class Learner(AbstractBlock):
-    """Two estimates that move with one error, in shares that depend on where they are."""
+    """Two estimates that move with one error, in proportions that depend on the state."""
 
     inputs = (Input("y"),)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -91,7 +91,7 @@ class Learner(AbstractBlock):
 
 
 class Remembering(AbstractBlock):
-    """v = -k y - (the mean of what y was in the last samples); counts samples, and sums what no block reads."""
+    """v = -k y - (the mean of y in the last samples); counts samples, and sums a signal that no block reads."""
 
     inputs = (Input("y"),)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -200,7 +200,7 @@ def test_numbers_too_large_for_floats_are_not_proved_and_no_fault(size: int) -> 
     for part in ("middle", "radius"):
         F, large = exactly(np.eye(size) / 2), arb(10) ** 400
         F[0, 1] = large if part == "middle" else arb(0, large)
-        # a triangular matrix: stable, with no enclosure in floats; of few rows the balls alone may prove it
+        # a triangular matrix: stable, without an enclosure in floats; with few rows the balls can prove it
         assert not proved_schur(F) or (size, part) == (3, "radius")
 
 
@@ -222,7 +222,7 @@ def test_what_moves_in_a_graph_has_the_eigenvalues_of_its_tick(name: str) -> Non
     assert np.max(radii(F)) < 1e-45
     found = np.concatenate([np.linalg.eigvals(middles(F)), np.ones(linear.at_rest)])
     wanted = np.linalg.eigvals(linear.sampled(clock))
-    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(wanted)), atol=1e-6)  # a multiple one parts
+    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(wanted)), atol=1e-6)  # multiple poles at 1
     still = linear.sampled_poles(clock)
     np.testing.assert_allclose(np.sort(np.abs(found))[: len(still)], np.sort(np.abs(still)), atol=1e-9)
     proved = prove_stability(diagram, linear, linearised_period(linear), clock)[0]
@@ -272,12 +272,12 @@ def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_reported(monkeypa
     diagram = Diagram.build({"law": Remembering(), "late": Late(), "cart": Cart()})
     linear = linearise(diagram, clock=T)
     assert len(linear.states) == 65
-    # resting: the sum, and the count, which stands long after the start; the bias drives the sum
+    # constant: the sum, and the count, which is large long after the start; the bias drives the sum
     assert (linear.at_rest, linear.ramp_modes) == (2, 1)
     whole = np.abs(np.linalg.eigvals(linear.sampled(T)))
     expected = np.max(whole[np.abs(whole - 1) > 1e-6])
     assert linear.spectral_radius(T) == pytest.approx(expected, abs=1e-9)
-    assert len(without_memory(linear.sampled(T))) == 35  # one sum a sample is read, of two numbers
+    assert len(without_memory(linear.sampled(T))) == 35  # one sum of a sample is read, of two numbers
     bracket = linearised_period(linear)
     assert (bracket.stable, bracket.unstable) == (T, np.inf)
     found = prove_stability(diagram, linear, bracket, T)[0]
@@ -292,7 +292,7 @@ def test_a_drift_is_not_proved_to_come_to_rest(monkeypatch: pytest.MonkeyPatch) 
 
 
 class Switching(AbstractBlock):
-    """v = k y + z, with an estimate s that moves with y; k and z switch, at rest or later, to what is unstable."""
+    """v = k y + z, with an estimate s that moves with y; k and z switch, at rest or later, to unstable values."""
 
     inputs = (Input("y"),)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -375,5 +375,5 @@ def test_an_equilibrium_that_is_invalid_is_not_proved() -> None:
     linear = linearise(diagram, clock=T)
     moved = linearise(diagram, linear.point + 0.2, clock=T)
     bracket = linearised_period(linear)
-    # Newton's steps find the equilibrium all the same; its distance is reported
+    # Newton's method still finds the equilibrium; its distance is reported
     assert prove_stability(diagram, moved, bracket, T)[0].within == pytest.approx(0.2, rel=0.01)

@@ -1,5 +1,5 @@
-"""Switches at a set-point: strictly inside a piece it is what is linear there, on an edge nothing is; and what is
-proved of a map is withdrawn where another knows better."""
+"""Switching functions at a set-point: linear inside a piece, undecided on an edge; and a proof of the map is
+withdrawn if another analysis contradicts it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RULES: dict[str, Rule] = {"": lambda y: -2 * y}
 
 
 class Law(AbstractBlock):
-    """v = g(y), or of what was measured one sample ago."""
+    """v = g(y), or g of the measurement of the previous sample."""
 
     inputs = (Input("y"),)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -132,7 +132,7 @@ def test_where_the_slope_alone_jumps_the_numbers_are_of_one_side_and_nothing_is_
 
 
 class Rounding(AbstractBlock):
-    """Measures in steps, or says that it does."""
+    """Measures in steps, or declares to do so."""
 
     side = Side.PLANT
     inputs = (Input("y"), Input("eta", drawn="normal"))
@@ -180,7 +180,7 @@ def test_a_declared_step_does_not_excuse_other_roundings() -> None:
 
 
 class Second(AbstractBlock):
-    """v = -z, dz/dt = y - z with a second term in its step: by itself, and in the loop it decides."""
+    """v = -z, dz/dt = y - z with a second term in its step, which decides stability alone and in the loop."""
 
     inputs = (Input("y"), PERIOD)
     outputs = (Output("v", access=Access.COMMANDED),)

@@ -1,4 +1,4 @@
-"""SIMD batches: figures of many runs, checked against those of the same runs computed one by one."""
+"""SIMD batches: figures of many runs, compared with those of the same runs computed one by one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def spread(runs: int, **ranges: tuple[float, float]) -> dict[str, np.ndarray]:
 
 
 def furthest(one: Measured, other: Measured) -> float:
-    """The largest difference of any figure, relative to the size of its like."""
+    """The largest difference of any figure, relative to the largest figure of its kind."""
     assert one.signals.keys() == other.signals.keys()
     np.testing.assert_array_equal(one.diverged, other.diverged)
     worst = 0.0
@@ -73,7 +73,7 @@ def furthest(one: Measured, other: Measured) -> float:
 )
 def test_simd_batches_measure_what_whole_runs_measure(name: str, values: Any, signals: tuple[str, ...]) -> None:
     wanted = MeasuredSignals(signals, {"error": 1e-3, signals[0]: 1e-2})
-    columns = spread(11, **values)  # more than one group, and the last of them not full
+    columns = spread(11, **values)  # more than one group, the last of them incomplete
     simd, whole = (batch(name, 0.5, engine, wanted).measure(columns) for engine in ("compiled", "interpreted"))
     assert simd.engine.startswith("SIMD batch of ")
     assert whole.engine == "interpreted"
@@ -99,7 +99,7 @@ def test_a_long_log_and_an_end_between_two_kept_instants_are_those_of_a_run() ->
 def test_a_divergence_has_a_time_and_does_not_affect_other_runs() -> None:
     wild = np.array([1.0, 1e6, 2.0, 3.0, 1e6, 4.0, 5.0, 6.0, 7.0])
     tame = np.where(wild > 1e5, 1.0, wild)
-    free = dm.load("arm2_joint").set({"dynamics.a_d_hat_box": None})  # in its box no estimate grows without limit
+    free = dm.load("arm2_joint").set({"dynamics.a_d_hat_box": None})  # its box bounds each estimate
     made = batch(free, 1.0, wanted=MeasuredSignals(("arm.q",)))
     found, calm = (made.measure({"dynamics.Gamma": column}) for column in (wild, tame))
     whole = batch(free, 1.0, "interpreted", MeasuredSignals(("arm.q",))).measure({"dynamics.Gamma": wild})
@@ -114,7 +114,7 @@ def test_a_divergence_has_a_time_and_does_not_affect_other_runs() -> None:
 
 
 class Late(AbstractBlock):
-    """dy = -speed tanh(t) y: stiff later than at the start."""
+    """dy = -speed tanh(t) y: stiffer later than at the start."""
 
     side = Side.PLANT
     inputs = (TIME,)
@@ -140,7 +140,7 @@ def test_what_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> N
     assert found.engine.startswith("SIMD batch of ")
     np.testing.assert_array_equal(np.isfinite(found.diverged), [False, False, True])
     assert "the integrator diverged at longer steps in 1 of 3 runs" in found.notices
-    # of log cosh t the last squares count: y = exp(-speed log cosh t)
+    # of log cosh t the last squares dominate: y = exp(-speed log cosh t)
     np.testing.assert_allclose(found.signals["plant.y"].last[1], np.exp(-4 * np.log(np.cosh(20.0))), rtol=1e-3)
 
 
@@ -156,7 +156,7 @@ def test_a_stiff_run_goes_into_a_simd_batch_by_the_linearly_implicit_method() ->
 
 
 UNLIKE = {"servo.K_D": np.array([80, 8000, 800, 2400, 4000, 6000, 500, 1000, 3000, 90, 5000.0])}
-"""Servos from one step of rk4 a millisecond to seven."""
+"""Servos that need from one step of rk4 per millisecond to seven."""
 
 
 @needs_compiler
@@ -172,7 +172,7 @@ def test_runs_of_unlike_stiffness_fill_the_batches_each_with_the_steps_that_it_t
     made, whole = (
         batch("ur10_fast", 0.2, engine, MeasuredSignals(("arm.q",))) for engine in ("compiled", "interpreted")
     )
-    made.measure({"servo.K_D": UNLIKE["servo.K_D"][:1]})  # so that the library's own trial is over
+    made.measure({"servo.K_D": UNLIKE["servo.K_D"][:1]})  # so that the library's own trial is finished
     monkeypatch.setattr(dmframe.batch.simd.SimdLoop, "start", noted)
     found = made.measure(UNLIKE)
     monkeypatch.undo()
@@ -269,7 +269,7 @@ def test_values_that_are_wrong_for_all_runs_are_refused(
     "name", ["arm2_joint", "ur10_full", "pendulum", "observed_regulation_pid", "torque_direct_pid"]
 )
 def test_the_numbers_and_starts_of_many_runs_are_those_of_each(name: str) -> None:
-    """Of every parameter that is a number."""
+    """Values of every parameter that is a number."""
     graph = dm.load(name)
     diagram = graph.diagram
     settings = {key: value for key, value in graph.settings.items() if key != "start"}

@@ -1,4 +1,4 @@
-"""The batch runner: which graphs share a closed loop and a batch, checked against runs of the graphs by themselves."""
+"""The batch runner: which graphs share a closed loop and a batch, compared with separate runs of the graphs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The libraries in a cache folder, which has a folder of robots too."""
+"""The libraries in a cache folder, which also contains a folder of robots."""
 
 from pathlib import Path
 
@@ -6,5 +6,5 @@ from dmframe.config.cached_robot import FOLDER
 
 
 def libraries(cache: Path) -> list[Path]:
-    """All entries but the folder of robots, sorted."""
+    """All entries except the folder of robots, sorted."""
     return sorted(path for path in cache.iterdir() if path.name != FOLDER)

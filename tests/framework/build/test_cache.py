@@ -1,4 +1,4 @@
-"""What was compiled is kept, found again, and never trusted unseen."""
+"""The cache of compiled code: entries are stored, found again, and checked before use."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ needs_permissions = pytest.mark.skipif(
 
 
 def forget() -> None:
-    """What a new process would not know."""
+    """State that a new process does not have."""
     library._kept.clear()
     library._reported.clear()
 
@@ -82,7 +82,7 @@ def test_a_broken_entry_is_thrown_away_and_made_again(harm: str, cache: Path, pe
         }[harm]
     )
     if harm == "another's":
-        entry.chmod(0o777)  # somebody else may have written it
+        entry.chmod(0o777)  # another user may have written it
     forget()
     np.testing.assert_array_equal(pendulum()["arm.q"], sound)
     (again,) = libraries(cache)

@@ -1,4 +1,4 @@
-"""Processes that compile at once, or are killed at any moment, leave a sound cache and no half-written result."""
+"""Processes that compile simultaneously, or are killed at any instant, leave a valid cache and no partial result."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def read_line(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def notices_of(found: dict[str, Any]) -> list[str]:
-    """Notices of a run, except that on V, which rises on this graph's clock."""
+    """Notices of a run, except that on V, which increases at this graph's sampling period."""
     return [notice for notice in found["notices"] if not notice.startswith("V rose")]
 
 
 def sound(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Another process, here this one, which has loaded nothing yet, finds the cache as it should be."""
+    """Another process, here this one with nothing loaded, finds the cache in a valid state."""
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", ["dmframe", *RUN, "--until", "0.2", "--out", "mine"])
     with pytest.raises(SystemExit) as stopped:
@@ -64,7 +64,7 @@ def sound(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 def killed_when_ready(process: subprocess.Popen[str], pipe: Path) -> None:
-    """SIGKILL to the process and all that it started, as soon as something writes to the pipe."""
+    """SIGKILL to the process and its children as soon as one of them writes to the pipe."""
     try:
         with pipe.open(encoding="utf-8") as reader:
             assert reader.read(1) == "x"
@@ -99,7 +99,7 @@ def test_killed_while_it_compiles_a_process_leaves_no_entry(
     process = started("", (*RUN, "--until", "0.2", "--out", "mine"), tmp_path, CC=str(compiler))
     killed_when_ready(process, pipe)
     assert [path.name[:6] for path in libraries(tmp_path / "cache")] == [".part-"]
-    assert list((tmp_path / "mine").iterdir()) == []  # held for a run that has gone, and free for the next
+    assert list((tmp_path / "mine").iterdir()) == []  # locked by a run that has ended, and free for the next
     sound(tmp_path, monkeypatch, capsys)
 
 
@@ -119,5 +119,5 @@ def test_killed_while_it_runs_or_writes_a_process_leaves_no_result(
     }[moment]
     process = started(hook, (*RUN, "--until", "2", "--out", "mine"), tmp_path)
     killed_when_ready(process, pipe)
-    assert list((tmp_path / "mine").iterdir()) == []  # held for a run that has gone, and free for the next
+    assert list((tmp_path / "mine").iterdir()) == []  # locked by a run that has ended, and free for the next
     sound(tmp_path, monkeypatch, capsys)

@@ -1,4 +1,4 @@
-"""A compiler that ends well and leaves a library that does not work: seen before anything is loaded or kept."""
+"""A compiler that succeeds with a faulty library: detected before the library is loaded or stored."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Runner = Callable[..., Recording]
 
 @pytest.fixture(scope="module")
 def positions() -> np.ndarray:
-    """Those of the pendulum, by a sound library."""
+    """Functions of the pendulum from a correct library."""
     graph = Graph.read("pendulum")
     return simulate(graph.diagram, 0.2, clock=graph.file.clock, solver=graph.solver, start=graph.start)["arm.q"]
 

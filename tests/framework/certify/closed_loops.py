@@ -1,4 +1,4 @@
-"""Closed loops to verify: every servo with every way to ask for motion, on a planar arm and on an odd chain."""
+"""Closed loops to verify: every servo with every reference generator, on a planar arm and on a chain with odd axes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 from dmframe.simulate.step import Solver, build_step
 
-sys.path.append(str(Path(__file__).parents[1]))  # as a command's, the path has this folder alone
+sys.path.append(str(Path(__file__).parents[1]))  # as in a command, the search path is this folder only
 from structures import packaged
 
 Spec = tuple[str, Mapping[str, Any]]
@@ -38,18 +38,18 @@ def known_blocks() -> dict[str, type[AbstractBlock]]:
 
 
 FILTERS = {"safe_reference": "dq_wish"}
-"""Types of blocks after which what drives this input is not what is followed."""
+"""Types of blocks behind which the signal of this input is no longer the tracked one."""
 
 
 def counting(types: Mapping[str, str], wires: Mapping[str, str]) -> set[str]:
-    """The types of the blocks, but for those that a filter makes silent."""
+    """The types of the blocks, without those whose certificates a filter removes."""
     ends = (f"{name}.{FILTERS[kind]}" for name, kind in types.items() if kind in FILTERS)
     silent = {wires[end].partition(".")[0] for end in ends if end in wires}
     return {kind for name, kind in types.items() if name not in silent}
 
 
 class Built:
-    """What a loop's robot, blocks and wires make."""
+    """The robot, blocks and wires of a loop."""
 
     name: str
     robot: Any
@@ -58,18 +58,18 @@ class Built:
 
     @property
     def start(self) -> Mapping[str, Any]:
-        """The start values of a graph; some conditions are decided there."""
+        """The initial values of a graph, at which some conditions are decided."""
         return {}
 
     @property
     def types(self) -> set[str]:
-        """Those whose certificates count; of what a filter changes, nothing is claimed."""
+        """The blocks whose certificates count; without those of which a filter changes the output."""
         return counting({name: kind for name, (kind, _) in self.specs.items()}, self.wires)
 
     def build(
         self, mutants: Mapping[str, Any] | None = None, mutated: Callable[..., type[AbstractBlock]] | None = None
     ) -> Diagram:
-        """The diagram, with the blocks of some types mutated."""
+        """The diagram, with a fault in the blocks of some types."""
         known, blocks = known_blocks(), dict[str, AbstractBlock]()
         for name, (kind, values) in self.specs.items():
             block = known[kind]
@@ -94,7 +94,7 @@ class Loop(Built):
 
 
 class PackagedLoop(Built):
-    """A packaged graph's, read when it is built: its name alone is needed to list it."""
+    """A packaged graph's loop, read when it is built: only its name is needed in a list."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -124,7 +124,7 @@ class PackagedLoop(Built):
 
 
 def odd_chain(n: int, seed: int, axes: str = "xyz", kinds: Sequence[str] = ()) -> SerialChain:
-    """Joints about axes that no coordinate has, each placed at no right angle to the one before."""
+    """Joints about axes without zero coordinates, none at a right angle to the previous one."""
     rng = np.random.default_rng(seed)
     model, parent = pin.Model(), 0
     model.name = f"odd{n}"
@@ -186,7 +186,7 @@ def _path(source: str, task: str, n: int, m: int) -> dict[str, Any]:
 
 @cache
 def loops() -> tuple[Built, ...]:
-    """What every fault of the mutation suite is put into, one of each pair where a fault goes into one only."""
+    """The loops for every fault of the mutation suite; one of each pair if a fault belongs to one only."""
     return tuple(_loops())
 
 
@@ -209,7 +209,7 @@ def _loops() -> Iterator[Built]:
 
 
 def _fitted(robot: Any) -> Loop:
-    """The kinematics fitted by least squares that forget: an option of a block, which no default graph takes."""
+    """Kinematics estimated by least squares with forgetting: an option that no default graph uses."""
     known = loop_of(robot, "task", "PI").specs
     fitted: dict[str, Spec] = {
         "geometry": ("adaptive_kinematics", {"Gamma_k": 2, "start_error": 0.03, "R": 5, "forgetting": 0.2}),
@@ -244,14 +244,14 @@ def _rotors(robot: Any) -> Loop:
 
 
 def _posture(robot: Any) -> Loop:
-    """A redundant robot, the smallest: two joints for one coordinate."""
+    """The smallest redundant robot: two joints for one coordinate."""
     known = loop_of(robot, "task", "PI").specs
     posture = {"posture": ("null_space_posture", {"K_null": 0.5, "q_0": [0.3, 0.4]})}
     return Loop(f"{robot.name} posture PI", robot, {**known, **posture})
 
 
 def _contact(robot: Any) -> Loop:
-    """A tool that yields to a wall."""
+    """A tool in contact with a compliant wall."""
     known = loop_of(robot, "task", "PID").specs
     contact: dict[str, Spec] = {
         "compliance": ("admittance", {"M_a": 10, "D_a": 200, "K_a": 400}),
@@ -261,7 +261,7 @@ def _contact(robot: Any) -> Loop:
 
 
 def _loaded(robot: Any) -> Loop:
-    """A load of which the controller knows nothing but that it is there."""
+    """A load whose parameters are unknown to the controller."""
     known = loop_of(robot, "joint", "PI").specs
     load: dict[str, Spec] = {
         "model": ("payload_regressor", {"gravity": "share", "friction": FRICTION["both"]}),
@@ -273,7 +273,7 @@ def _loaded(robot: Any) -> Loop:
 
 
 def _grasping(robot: Any) -> Loop:
-    """The same where a gripper reports the load and its parameters."""
+    """The same with a gripper that reports the load and its parameters."""
     gripper: dict[str, Spec] = {
         "dynamics": ("reset_compensator", {"Gamma": 3, "clearing": 2}),
         "gripper": ("gripper", {"at": [1, 2], "mass": [0.5, 0]}),
@@ -301,7 +301,7 @@ def _positive(n: int) -> list[list[float]]:
 
 
 def _packaged(held: set[str]) -> Iterator[Built]:
-    """A packaged graph for each block that none of the others holds: so a new block brings its own."""
+    """A packaged graph for each block that no other loop contains, so new blocks are included automatically."""
     blocks = known_blocks()
     held = held | loop_of(load("arm2"), "task", "PI").types | loop_of(load("arm2"), "joint", "PID").types
     for name, data in sorted(packaged().items()):
@@ -318,18 +318,18 @@ def _parameters(entry: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in entry.items() if key != "type"}
 
 
-# An independent look at dV/dt: the rates come from the functions that a run calls, the slopes of V from reverse mode.
+# Independent evaluation of dV/dt: the rates come from the functions of a run, the derivatives of V from reverse mode.
 
 PERIOD = 1e-3
 
 
 def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
-    """Rates of all states at (state, t), as the simulation's own functions give them, inside the boxes."""
+    """Rates of all states at (state, t), from the simulation's functions, inside the boxes."""
     loop = diagram.loop
     split = sum(variable.symbol.numel() for variable in loop.controller)
     p = _unbounded(diagram)
     periods = [PERIOD]
-    if any(variable.own_second is not None for variable in loop.controller):  # what a step has over T^2 is no rate
+    if any(variable.own_second is not None for variable in loop.controller):  # a step has T^2 terms
         periods.append(2 * PERIOD)
     steps = [build_step(loop, period, Solver(step=period), ca.SX(0, 1)) for period in periods]
 
@@ -345,7 +345,7 @@ def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
 
 
 def _unbounded(diagram: Diagram) -> np.ndarray:
-    """The parameters with boxes so wide that no tick, however fast the rates, leaves them."""
+    """The parameters with boxes so wide that no sample leaves them, for any rates."""
     boxes = {projection.parameter for projection in diagram.loop.projections}
     values = []
     for parameter in diagram.loop.parameters:
@@ -357,7 +357,7 @@ def _unbounded(diagram: Diagram) -> np.ndarray:
 
 
 def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndarray, float]]:
-    """Random states, those with a box well inside it, and times."""
+    """Random states, with those of a box well inside it, and times."""
     rng, loop = np.random.default_rng(seed), diagram.loop
     boxes = {p.label: p.value for p in loop.parameters}
     held = {projection.name: boxes[projection.parameter] for projection in loop.projections}
@@ -374,9 +374,9 @@ def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndar
 
 
 def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> bool:
-    """Is dV/dt + dissipation - consumption - residual zero, to rounding, with the rates that a run has?
+    """True if dV/dt + dissipation - cross terms - residual is zero, up to rounding, with the rates of a run.
 
-    Raises `FloatingPointError` where it has no value at the graph's numbers.
+    Raises `FloatingPointError` if it has no value at the graph's numbers.
     """
     loop, kappa = diagram.loop, ca.SX.sym("kappa")
     weigh = claim.kappa if not claim.kappa.is_constant() else kappa
@@ -410,7 +410,7 @@ def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> 
 
 
 def negative_in_numbers(diagram: Diagram, claim: Claim) -> list[str]:
-    """The terms of V and of the dissipation that are below zero at a random state, by block and place."""
+    """The terms of V and of the dissipation that are negative at a random state, by block and place."""
     terms = {
         f"{part.block}, {role} {place}": ca.SX(term.value)
         for part in claim.parts
@@ -425,7 +425,7 @@ def negative_in_numbers(diagram: Diagram, claim: Claim) -> list[str]:
 
 
 def same_field(diagram: Diagram, other: Diagram) -> bool:
-    """Have two closed loops the same rates, to rounding, at random states?"""
+    """True if two closed loops have the same rates, up to rounding, at random states."""
     mine, theirs = field_of(diagram), field_of(other)
     if diagram.loop.state.numel() != other.loop.state.numel():
         return False

@@ -1,4 +1,4 @@
-"""The verdict on a seeded fault in a closed loop, compared with numbers that do not come from the certifier."""
+"""The verdict on a seeded fault in a closed loop, compared with numbers that are independent of the certifier."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ OUTCOMES = {
 
 @dataclass(frozen=True)
 class Result:
-    """What becomes of a fault in one closed loop."""
+    """Result of a fault in one closed loop."""
 
     mutant: Mutant
     loop: str
@@ -56,7 +56,7 @@ class Result:
 
 @contextlib.contextmanager
 def patched(mutant: Mutant) -> Iterator[None]:
-    """The library with one function replaced in every module and class that holds it."""
+    """The library with one function replaced in every module and class that refers to it."""
     name = mutant.original.__name__
 
     def holders(of: Any) -> list[Any]:
@@ -72,7 +72,7 @@ def patched(mutant: Mutant) -> Iterator[None]:
         yield
     finally:
         recursion.forget()
-        for holder in holders(mutant.function):  # a module that was imported meanwhile has it too
+        for holder in holders(mutant.function):  # a module imported in the meantime refers to it too
             setattr(holder, name, mutant.original)
 
 
@@ -91,7 +91,7 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 
 @contextlib.contextmanager
 def nothing_printed() -> Iterator[None]:
-    """Without the printed laws, which would refuse some faults before the exact test, and without conclusions."""
+    """Without printed laws, which would refuse some faults before the exact test, and without conclusions."""
     with (
         mock.patch("dmframe.certify.laws.printed_laws", return_value={}),
         mock.patch("dmframe.certify.labels.labelled", unlabelled),
@@ -103,22 +103,22 @@ def nothing_printed() -> Iterator[None]:
 
 
 class _Only(dict[str, AbstractBlock]):
-    """Blocks by name, of which an iteration gives those of some types."""
+    """Blocks by name; iteration yields those of some types."""
 
     def __init__(self, blocks: Mapping[str, AbstractBlock], unchanged: Sequence[type[AbstractBlock]]) -> None:
         super().__init__(blocks)
         self._unchanged = unchanged
 
     def items(self) -> Any:
-        """The blocks of other types than the unchanged ones."""
+        """The blocks of types other than the unchanged ones."""
         return [(name, block) for name, block in super().items() if type(block) not in self._unchanged]
 
 
 @contextlib.contextmanager
 def reusing(honest: Diagram) -> Iterator[None]:
-    """The models of blocks whose classes are those of a diagram without faults are its models.
+    """Models of the blocks; for unchanged classes those of a diagram without faults.
 
-    That unchanged certificates do not depend on numbers (`check_claims`) is not checked once more.
+    The check that unchanged certificates do not depend on numbers (`check_claims`) is not repeated.
     """
     kinds = [type(block) for block in honest.blocks.values()]
     robots = {id(model.robot): model.robot for model in honest.models.values() if model.robot is not None}
@@ -142,10 +142,10 @@ def reusing(honest: Diagram) -> Iterator[None]:
 
 
 class Statement(NamedTuple):
-    """What a loop's blocks of one type state, as CasADi writes it.
+    """The statements of a loop's blocks of one type, as CasADi prints them.
 
-    `claimed` has the certificate, conditions and starts; `concluded` the stable linear subsystems, from which
-    conclusions alone are drawn.
+    `claimed` contains the certificate, conditions and initial values; `concluded` the stable linear subsystems, which
+    only conclusions use.
     """
 
     law: str
@@ -154,7 +154,7 @@ class Statement(NamedTuple):
 
 
 def statement(loop: Built, kind: str, block: type[AbstractBlock]) -> Statement | None:
-    """None where it cannot be evaluated, or has other symbols than that of the block without faults."""
+    """None if it cannot be evaluated, or has other symbols than the block without faults."""
     texts = list[Statement]()
     for name, (of, values) in loop.specs.items():
         if of == kind:
@@ -181,7 +181,7 @@ def _stated(loop: Built, name: str, block: AbstractBlock) -> tuple[Any, Any, Any
 
 @cache
 def _signals(loop: Built, name: str) -> tuple[Signals, Signals, Signals, Signals]:
-    """Symbols of a block without faults, with a robot that keeps its answers."""
+    """Symbols of a block without faults, with a robot that caches its functions."""
     diagram = loop.diagram
     model = diagram.models[name]
     robot = None if model.robot is None else Recalled(model.robot)
@@ -203,7 +203,7 @@ def _symbols(loop: Built, name: str) -> list[Any]:
 
 @cache
 def unchanged_statement(loop: Built, kind: str) -> Statement | None:
-    """That of the block without faults."""
+    """The statements of the block without faults."""
     return statement(loop, kind, known_blocks()[kind])
 
 
@@ -218,7 +218,7 @@ SAME_LAW = "the certificate differs, dV/dt is true all the same"
 
 
 def tried(mutant: Mutant, everywhere: bool = False) -> list[Result]:
-    """The first closed loop in which a fault changes a certificate or a rate, or the last one; `everywhere`: all."""
+    """The first closed loop in which a fault changes a certificate or a rate, else the last one; `everywhere`: all."""
     found = list[Result]()
     for loop in homes(mutant, loops(), everywhere):
         found.append(_judged_once(mutant, loop))
@@ -245,9 +245,9 @@ def _judged_once(mutant: Mutant, loop: Built) -> Result:
 
 
 def concluded(mutant: Mutant, loop: Built) -> Result:
-    """A fault that only conclusions depend on: none may be new.
+    """Result of a fault that affects conclusions only: no new conclusion is allowed.
 
-    That a signal which the fault names is bounded is not counted: this is decided from the loop, not from the name.
+    That a signal named by the fault is bounded does not count: it is decided from the loop, not from the name.
     """
     with reusing(loop.diagram):
         try:
@@ -264,12 +264,12 @@ def concluded(mutant: Mutant, loop: Built) -> Result:
 
 @cache
 def verdict_without_faults(loop: Built) -> Verdict:
-    """That of the loop itself."""
+    """The verdict of the loop without faults."""
     return verify(loop.diagram, trials=1, start=loop.start)
 
 
 def new_conclusions(verdict: Verdict, before: Verdict) -> list[str]:
-    """What is concluded of a signal or a state that another verdict names, and not concluded there."""
+    """Conclusions on a signal or a state that another verdict names, and that it does not contain."""
     named = {str(item.signal) for item in before.statements}
     known = [(str(item.signal), item.says, set(map(str, item.assumes))) for item in before.statements]
     known += [  # by Barbalat's lemma
@@ -292,7 +292,7 @@ def new_conclusions(verdict: Verdict, before: Verdict) -> list[str]:
 
 
 def judged(mutant: Mutant, loop: Built) -> Result:
-    """What becomes of a fault in one closed loop."""
+    """Result of a fault in one closed loop."""
     block = mutant.owner in known_blocks()
     with reusing(loop.diagram) if block else patched(mutant), nothing_printed():
         try:
@@ -302,7 +302,7 @@ def judged(mutant: Mutant, loop: Built) -> Result:
             claim = assembled(claim_of(diagram))
             if not identity(claim, trials=1, seed=0).zero and not why_not_refuted(
                 claim, 0
-            ):  # `verify` looks for the block, too
+            ):  # `verify` searches for the block too
                 return Result(mutant, loop.name, "refuted", "the residual is not zero")
             if not block and digest(claim) == _digest_without_faults(loop) and same_field(diagram, loop.diagram):
                 return Result(mutant, loop.name, "equivalent", SAME_RATES)
@@ -317,7 +317,7 @@ def judged(mutant: Mutant, loop: Built) -> Result:
 
 
 def _free_of_sources(diagram: Diagram) -> bool:
-    """True where nothing in the claim depends on a source's equations, so that no fault in them can matter."""
+    """True if no part of the claim depends on a source's equations, so that no fault in them has an effect."""
     claim = claim_of(diagram)
     sources = {name for name, block in diagram.blocks.items() if block.side is Side.SOURCE}
     own = {s for p in claim.loop.parameters if p.label.split(".")[0] in sources for s in symbols_in([p.symbol])}
@@ -356,16 +356,16 @@ def _outcome(diagram: Diagram, verdict: Verdict, loop: Built) -> tuple[str, str]
 
 @cache
 def negative_without_faults(loop: Built) -> tuple[str, ...]:
-    """Terms below zero at sampled states of a loop without faults, such as one that is positive by assumption."""
+    """Negative terms at sampled states of a loop without faults, such as one that is positive by assumption."""
     with nothing_printed():
         return tuple(negative_in_numbers(loop.diagram, claim_of(loop.diagram)))
 
 
 def homes(mutant: Mutant, available: Sequence[Built], everywhere: bool = False) -> Iterator[Built]:
-    """The closed loops that hold a block of this type, or call a function of the library, the cheapest first.
+    """The closed loops that contain a block of this type, or call a function of the library, the fastest first.
 
-    Of those that call a function one for each number of joints, unless `everywhere`: an arm in a plane makes most of
-    its rotations invisible. Of those that adapt, one for each set of options.
+    Of those that call a function, one for each number of joints, unless `everywhere`: a planar arm does not show most
+    rotations. Of those with adaptation, one for each set of options.
     """
     kind, seen = mutant.owner, set[Hashable]()
     fitting = [loop for loop in available if kind in LIBRARY or kind in loop.types]
@@ -386,7 +386,7 @@ def options_of(loop: Built) -> frozenset[str]:
 
 @cache
 def cost(loop: Built) -> int:
-    """Instructions of a loop's rates."""
+    """Number of instructions of a loop's rates."""
     moving = loop.diagram.loop
     rates = ca.veccat(*(variable.own_rate for variable in moving.variables if variable.own_rate is not None))
     return int(ca.Function("rates", ca.symvar(rates), [rates]).n_nodes())

@@ -1,7 +1,7 @@
 """Faults seeded into equations, certificates and shared functions; `python tests/framework/certify/mutants.py`.
 
-Each fault ends as one of `OUTCOMES`. It is put into the cheapest closed loops that hold its place, until it changes an
-expression in one; with ``--everywhere`` into all of them. Results in a file are not computed again, unless a source
+Each fault ends with one of `OUTCOMES`. It is tried in the fastest closed loops that contain its place, until it changes
+an expression in one; with ``--everywhere`` in all of them. Results in a file are not computed again, unless a source
 has changed.
 """
 
@@ -30,28 +30,28 @@ import dmframe
 import dmframe_blocks
 
 SHARE = 20
-"""Faults that a process tries before it reports."""
+"""Number of faults that a process tries before it reports."""
 
 Row = Mapping[str, str | float]
-"""A result as JSON: fault, loop, outcome, reason, CPU seconds, and the sources of which it is one."""
+"""A result as JSON: fault, loop, outcome, reason, CPU seconds, and the hash of the sources."""
 
 
 @cache
 def faults(scope: str) -> tuple[Mutant, ...]:
-    """Every fault of `scope` that some closed loop holds."""
+    """Every fault of `scope` that is part of some closed loop."""
     found = all_mutants(certificates=scope != "equations", library=scope == "all")
     held = {kind for loop in loops() for kind in loop.types} | set(LIBRARY)
     return tuple(mutant for mutant in found if mutant.owner in held)
 
 
 def without_loop() -> list[str]:
-    """Types of blocks that no closed loop holds, so that their faults are not tried."""
+    """Types of blocks in no closed loop, whose faults are therefore not tried."""
     return sorted(set(known_blocks()) - {kind for loop in loops() for kind in loop.types})
 
 
 @cache
 def sources() -> str:
-    """A hash of the framework, the blocks, the closed loops, and of what judges a fault."""
+    """A hash of the framework, the blocks, the closed loops, and the code that evaluates a fault."""
     folders = [Path(module.__file__).parent for module in (dmframe, dmframe_blocks)]
     files = sorted(path for folder in folders for path in folder.rglob("*.py"))
     files += [Path(__file__).with_name(f"{name}.py") for name in ("closed_loops", "seeded_faults", "judged_faults")]
@@ -59,7 +59,7 @@ def sources() -> str:
 
 
 def share(scope: str, everywhere: bool, places: Sequence[int]) -> list[Row]:
-    """The results of some faults; a process builds the list of faults for itself."""
+    """The results of some faults; each process builds its own list of faults."""
     rows = list[Row]()
     for place in places:
         mutant, begin = faults(scope)[place], time.process_time()
@@ -80,7 +80,7 @@ def share(scope: str, everywhere: bool, places: Sequence[int]) -> list[Row]:
 
 
 def read_results(path: Path | None) -> list[Row]:
-    """The results in a file that these sources gave."""
+    """The results in a file that were computed from these sources."""
     if path is None or not path.exists():
         return []
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
@@ -88,7 +88,7 @@ def read_results(path: Path | None) -> list[Row]:
 
 
 def main() -> int:
-    """Try all faults, and print how many ended in which way."""
+    """Try all faults, and print the number of faults with each outcome."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--everywhere", action="store_true", help="each fault in every closed loop that holds its place"
@@ -117,13 +117,13 @@ def main() -> int:
 
 
 LOST = re.compile(r"\b(NameError|UnboundLocalError|ImportError)\b")
-"""Errors that no fault causes, but a harness that compiles a function without its names."""
+"""Errors that come from the harness, which compiles a function without its names, not from a fault."""
 
 CAUSE = re.compile(r"\b\w+(Error|StopIteration)\b")
 
 
 def reported(rows: Sequence[Row], every: bool) -> int:
-    """Print the results; 1 where a fault survived, or a name was lost."""
+    """Print the results; 1 if a fault survived, or a name was lost."""
     lost = [row for row in rows if row["outcome"] == "no diagram" and LOST.search(str(row["reason"]))]
     for row in rows:
         if row["outcome"] == "survived" or row in lost or (every and row["outcome"] != "refuted"):

@@ -1,4 +1,4 @@
-"""Loops of one block with scalar states, written in one line each: small enough to see by eye what is true of them."""
+"""Loops of one block with scalar states, written in one line each, whose behaviour is known by inspection."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.diagram import Diagram
 
 Rates = Callable[[Any, Any, Any], Mapping[str, Any]]
-"""Of the states, the inputs and the parameters."""
+"""A function of states, inputs and parameters."""
 
 
 def scalar_loop(states: str, rates: Rates, claim: Callable[[Any, Any, Any], Certificate], **sources: Any) -> Diagram:
-    """One block with these states, and sources ``{"r": a function of time}`` that it follows."""
+    """One block with these states, and sources ``{"r": a function of time}`` as its references."""
 
     @final
     class Toy(AbstractBlock):
-        """What the arguments say."""
+        """Certificate as given by the arguments."""
 
         inputs = (TIME, *(Input(name) for name in sources))
         outputs = ()

@@ -1,6 +1,6 @@
 """Single faults of functions, generated from their sources and compiled into the functions' own modules.
 
-The sources are those of whatever the catalogue holds, so that a new block has its own faults.
+The sources are those of all blocks in the catalogue, so new blocks have faults too.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SWAPS: Mapping[type[ast.AST], type[ast.operator]] = {
 }  # fmt: skip
 FUNCTIONS = {"sin": "cos", "cos": "sin", "tanh": "sin", "horzcat": "vertcat", "cross": "dot"}
 SKIPPED = ("annotation", "returns", "decorator_list")
-"""Fields of a syntax tree that no result depends on."""
+"""Fields of a syntax tree that do not affect results."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Mutant:
 
 
 class CompileError(Exception):
-    """A function's source does not give the function: its faults would be faults of the harness."""
+    """The source of a function does not reproduce it: its faults would be faults of the harness."""
 
 
 FUTURE = __import__("__future__").annotations.compiler_flag
@@ -67,7 +67,7 @@ FUTURE = __import__("__future__").annotations.compiler_flag
 def compiled(source: str, original: Callable[..., Any]) -> Callable[..., Any]:
     """The function of a text, with the decorators, globals and closure of the original.
 
-    Names are looked up in the module when the function runs, as those of the original: other faults may be patched in.
+    Names are looked up in the module when the function runs, as in the original: other faults may be patched in.
     """
     inner = _inner(original)
     factory = ast.parse(f"def factory({', '.join(inner.__code__.co_freevars)}):\n    return {inner.__name__}")
@@ -81,7 +81,7 @@ def compiled(source: str, original: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_compiled(source: str, original: Callable[..., Any]) -> None:
-    """Raise `CompileError` unless the unchanged source gives the original's code, names, defaults and decorators."""
+    """Raise `CompileError` unless the unchanged source gives the original code, names, defaults and decorators."""
     made = compiled(source, original)
     if (_inner(made) is made) != (_inner(original) is original):
         raise CompileError(f"{original.__qualname__}: its source gives other decorators")
@@ -91,7 +91,7 @@ def check_compiled(source: str, original: Callable[..., Any]) -> None:
 
 
 def _inner(function: Callable[..., Any]) -> FunctionType:
-    """The function below its decorators."""
+    """The function without its decorators."""
     inner = inspect.unwrap(function)
     if not isinstance(inner, FunctionType):
         raise CompileError(f"{function}: expected a function, found {type(inner).__name__}")
@@ -101,14 +101,14 @@ def _inner(function: Callable[..., Any]) -> FunctionType:
 def _facts(function: Callable[..., Any]) -> tuple[Any, ...]:
     inner = _inner(function)
     defaults = (*(inner.__defaults__ or ()), *(inner.__kwdefaults__ or {}).items())
-    plain = (int, float, str, tuple, type(None))  # an object is made anew
+    plain = (int, float, str, tuple, type(None))  # an object is created again
     return _parts(inner.__code__), [item if isinstance(item, plain) else type(item) for item in defaults]
 
 
 def _parts(code: CodeType) -> tuple[Any, ...]:
-    """Names and constants of a function and of the functions in it, with the indentation of texts left out.
+    """Names and constants of a function and of its inner functions, with the indentation of texts removed.
 
-    The instructions themselves depend on the imports above a function: they are shorter for a module's name.
+    The instructions depend on the imports above a function: they are shorter for a module's name.
     """
     constants = [
         _parts(item) if isinstance(item, CodeType) else repr(item.split() if isinstance(item, str) else item)
@@ -125,11 +125,11 @@ def mutants_of(
     Parameters
     ----------
     signals
-        Names with their shapes, by what they are read from.
+        Names with their shapes, by the object from which they are read.
     arguments
-        Names of which one is taken for another.
+        Names, each of which is replaced by another.
 
-    Raises `CompileError` where the unchanged source does not give the function.
+    Raises `CompileError` if the unchanged source does not reproduce the function.
     """
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     unchanged = ast.unparse(tree)
@@ -147,7 +147,7 @@ def mutants_of(
 
 
 def _faults(node: ast.AST, signals: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, ast.AST]]:
-    """Single faults of one node: what was done, and the node that takes its place."""
+    """Single faults of one node: description, and the node that replaces it."""
     text = ast.unparse(node) if isinstance(node, ast.expr | ast.stmt) else ""
     match node:
         case ast.BinOp(left=left, op=op, right=right):
@@ -189,7 +189,7 @@ def _faults(node: ast.AST, signals: Mapping[str, Mapping[str, str]]) -> Iterator
 
 
 def _entries(keys: Sequence[ast.expr | None], values: Sequence[ast.expr]) -> Iterator[tuple[str, ast.AST]]:
-    """Faults of what a block states: an output or a rate negated, doubled, or taken for another."""
+    """Faults of a block's statements: an output or a rate negated, doubled, or replaced by another."""
     for k, (key, value) in enumerate(zip(keys, values, strict=True)):
         name = ast.unparse(key) if key else "**"
         for what, changed in (
@@ -206,13 +206,13 @@ def _entries(keys: Sequence[ast.expr | None], values: Sequence[ast.expr]) -> Ite
 
 
 def _renamed(node: ast.AST, names: Sequence[str]) -> Iterator[tuple[str, ast.AST]]:
-    """One argument taken for another."""
+    """One argument replaced by another."""
     if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in names:
         yield from ((f"{node.id} became {other}", ast.Name(other, ast.Load())) for other in names if other != node.id)
 
 
 def _places(parent: ast.AST) -> Iterator[tuple[ast.AST, Callable[[ast.AST], None]]]:
-    """All nodes below a node of which a result can depend, each with what puts another into its place."""
+    """All nodes below a node that can affect a result, each with a function that replaces it."""
     for name, value in list(ast.iter_fields(parent)):
         if name in SKIPPED or isinstance(parent, ast.Raise):
             continue
@@ -228,7 +228,7 @@ def _places(parent: ast.AST) -> Iterator[tuple[ast.AST, Callable[[ast.AST], None
 
 @contextlib.contextmanager
 def _placed(node: ast.AST, put: Callable[[ast.AST], None], changed: ast.AST) -> Iterator[None]:
-    """The tree with another node in the place of one: to copy it for every fault would take most of the time."""
+    """The tree with one node replaced: copying it for every fault would take most of the time."""
     put(ast.fix_missing_locations(ast.copy_location(changed, node)))
     try:
         yield
@@ -237,9 +237,9 @@ def _placed(node: ast.AST, put: Callable[[ast.AST], None], changed: ast.AST) -> 
 
 
 LAW = ("equations", "direction")
-"""The methods by which a block states its law, and its law alone."""
+"""The methods in which a block states its law only."""
 SHARED = ("error", "fits")
-"""Methods of which both the law and the certificate are made, as of those whose names begin with ``_``."""
+"""Methods from which both the law and the certificate are built, as those whose names begin with ``_``."""
 
 
 def block_mutants(kind: str, block: type[AbstractBlock], methods: Sequence[str] = LAW) -> Iterator[Mutant]:
@@ -255,7 +255,7 @@ def block_mutants(kind: str, block: type[AbstractBlock], methods: Sequence[str] 
 
 
 def mutated_block(block: type[AbstractBlock], mutant: Mutant) -> type[AbstractBlock]:
-    """The block with one method replaced; its file is left alone."""
+    """The block with one method replaced; its file is unchanged."""
     space = {
         "__module__": block.__module__,
         "__doc__": "What a fault makes of it.",

@@ -1,4 +1,4 @@
-"""Weights that are positive by assumption: what is listed, and which lies are seen all the same."""
+"""Weights that are positive by assumption: the listed assumptions, and false claims that are refuted anyway."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ START = {"toy.y": 0.5, "toy.z": 2.0}
 def draining(
     weight: Any = lambda x, p: x.z, positive: str = WHY, sign: int = 1, spent: Any = lambda x: Square(x.y)
 ) -> Diagram:
-    """An error y, weighed with a level z that moves with it: z y^2 / 2 falls by y^2."""
+    """An error y, weighted with a level z that moves with it: z y^2 / 2 decreases by y^2."""
 
     def rates(x: Any, u: Any, p: Any) -> dict[str, Any]:
         return {"y": -sign * (x.y + x.y**2 / 2) / x.z, "z": x.y}
@@ -87,7 +87,7 @@ def test_a_weight_that_is_assumed_but_decidable_is_decided() -> None:
 
 
 def two(*weights: Any) -> Verdict:
-    """Two errors and a level that is constant, with these weights."""
+    """Two errors and a constant level, with these weights."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         column, error = ca.vertcat(*(weight(x, p) for weight in weights)), ca.vertcat(x.a, x.b)
@@ -116,7 +116,7 @@ def test_one_that_is_not_above_zero_at_the_start_is_refused() -> None:
 
 
 def test_one_whose_start_is_not_stated_has_to_be_above_zero_at_zero() -> None:
-    """V = -(1 + z^2) y^2 / 2, with its rate as it is, calls itself positive."""
+    """V = -(1 + z^2) y^2 / 2, with its correct rate, declared positive."""
 
     def loop(weight: Any) -> Diagram:
         def claim(x: Any, u: Any, p: Any) -> Certificate:
@@ -179,7 +179,7 @@ def test_a_weight_that_is_only_assumed_dominates_no_cross_term() -> None:
 
 
 def test_with_a_residual_a_weight_that_may_grow_gives_no_ultimate_bound() -> None:
-    """V = z y^2 / 2 falls by y^2 and gains a constant: as z grows without end, y^2 is no share of V."""
+    """V = z y^2 / 2 decreases by y^2 and gains a constant: as z is unbounded, y^2 is no fixed fraction of V."""
 
     def loop(weight: Any, moves: int) -> Diagram:
         def rates(x: Any, u: Any, p: Any) -> dict[str, Any]:
@@ -201,7 +201,7 @@ def test_with_a_residual_a_weight_that_may_grow_gives_no_ultimate_bound() -> Non
     assert ultimately(loop(lambda x, p: x.z, 1)) == set()
 
 
-# What the conclusions, or the equations themselves, send to zero is assumed in vain.
+# An assumption is useless if the conclusions, or the equations themselves, send its object to zero.
 
 
 def weighted(states: str, rates: Any, weight: Any, spent: Any, also: Any = None, **sources: Any) -> Diagram:

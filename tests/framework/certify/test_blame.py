@@ -1,4 +1,4 @@
-"""A false certificate is refuted alone and in a diagram, the verdict names its block, and its exact point replays."""
+"""A false certificate is refuted alone and in a diagram; the verdict names its block and an exact point."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_false_certificate_of_any_block_is_refuted_alone_and_in_the_diagram_wi
     diagram = diagram_with(which, {kind: with_false(known_blocks()[kind], how)})
     (false,) = (name for name in diagram.blocks if diagram.type_of(name) == kind)
     claim = assembled(claim_of(diagram))
-    # no supply rate is part of dV/dt of the diagram, where they cancel: a false one fails its own block's claim alone
+    # no supply rate is part of dV/dt of the diagram, where they cancel: a false one fails its own block's claim only
     whole = [] if how == "supply" else ["dV/dt"]
     assert [label for label, _ in failing(claim, seed=0)] == [*whole, f"{false}: dS/dt"]
 

@@ -1,4 +1,4 @@
-"""What a projection onto bodies needs to be proved, and which false statements of it are refuted."""
+"""Conditions for the proof of a projection onto consistent parameters, and false statements that are refuted."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def projected() -> tuple[ClosedLoop, Projection]:
 
 
 def failing(**values: Any) -> list[str]:
-    """The conditions of the projection that do not hold."""
+    """The conditions of the projection that fail."""
     claim = claim_of(changed(**values).diagram)
     checked, _ = projection_conditions(claim, Numbers(claim, {}))
     return [item.name for item in checked if not item.holds]
@@ -62,7 +62,7 @@ def test_it_is_proved_and_stated_to_stay_bodies() -> None:
 @pytest.mark.parametrize(
     ("label", "value", "names"),
     [
-        ("model.nominal", 4, ["true value inside the set of bodies"]),  # 0.3 of it is more than the truth
+        ("model.nominal", 4, ["true value inside the set of bodies"]),  # 0.3 of it exceeds the true value
         ("dynamics.floor", 1.01, ["starts inside the set of bodies"]),
         ("dynamics.floor", 1, []),
     ],
@@ -98,7 +98,7 @@ def _with(kept: Bodies, **changed: Any) -> Bodies:
 
 
 def _taken_whole(kept: Bodies, s: Any, v: Any) -> Any:
-    """All of a rate whose diagonal leads out, also along the rim."""
+    """The whole rate if its diagonal points outwards, also along the boundary."""
     link = _link(kept)
     values, V = eigen(link.at(s[:10]))
     out = ca.if_else(values <= 0, 1, 0)
@@ -162,7 +162,7 @@ def test_a_fault_in_a_law_takes_the_proof(method: str, name: str, fault: Any) ->
 
 
 def test_another_metric_than_that_of_the_nominal_bodies_is_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The law and the storage stay a pair, of which the identity is true; what is projected is not near in it."""
+    """Law and storage function remain a pair with a correct identity, but the projection is not the nearest point."""
     import dmframe.diagram.resolve as resolve
 
     def other(nominal: Any, share: Any) -> Bodies:
@@ -173,7 +173,7 @@ def test_another_metric_than_that_of_the_nominal_bodies_is_no_proof(monkeypatch:
 
 
 class Moving(AbstractBlock):
-    """Its nominal bodies move."""
+    """Its nominal bodies change with time."""
 
     inputs = (Input("q", "n", "rad"), Input("a_d_nominal", "p", ""))
     outputs = (Output("a_d_other", "p", ""),)
@@ -191,7 +191,7 @@ def test_nominal_bodies_that_move_are_refused() -> None:
 
 
 class Undeclared(AbstractBlock):
-    """A set of bodies of which half is missing."""
+    """A set of bodies without half of its data."""
 
     inputs = (Input("a_d_nominal", "p", ""),)
     states = (State("a", "p", bodies="flor", nominal="a_nominal"),)

@@ -1,4 +1,4 @@
-"""Bounds of residuals, starts of information matrices, gains without effect, sampled conditions, extreme numbers."""
+"""Bounds of residuals, initial information matrices, gains without effect, sampled conditions, extreme numbers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ONE = ca.SX(1)
 
 
 def drifting(width: Callable[[Any, Any], Any]) -> Diagram:
-    """y' = -y + clip(y, w): bounded away from -|y|^2 by w |y|, for a width above zero."""
+    """y' = -y + clip(y, w): the residual is at most w |y|, for a positive width."""
     return scalar_loop(
         "y z",
         lambda x, u, p: {"y": -x.y + clip(x.y, width(x, p)), "z": -x.z},
@@ -77,7 +77,7 @@ def test_a_width_that_is_not_positive_or_not_constant_gives_no_bound(width: Any)
 
 
 def gathering(start: float | None) -> Diagram:
-    """G' = -G + 1, in the storage: G goes to 1 from every start."""
+    """G' = -G + 1, in the storage: G converges to 1 from every start."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         form = InformationSquare(x.y, ONE, x.G, ONE, ONE, ONE)

@@ -1,4 +1,4 @@
-"""The boxes of a common Lyapunov function, as an author may write them."""
+"""The boxes of a common Lyapunov function, in all forms that an author can write."""
 
 from __future__ import annotations
 

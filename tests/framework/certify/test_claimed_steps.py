@@ -1,4 +1,4 @@
-"""Certificates over samples that differ from their block: other delay lines, identities and gains, equal in number."""
+"""Certificates over samples that differ from their block: other delay lines, identities and gains of equal number."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From V to the theorem's last line: boundedness, convergence, small gain; each step with a fault that it stops."""
+"""From V to the last statement of the theorem: boundedness, convergence, small gain; each step with a seeded fault."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_what_turns_is_bounded_where_only_its_sine_is_felt():
 
 
 def _driven(rate, rest, otherwise=()):
-    """X' = -x is proved; z' = rest(z, x), of which a StableLinear says that its linear part is `rate`."""
+    """X' = -x is proved; z' = rest(z, x), with a StableLinear that declares the linear part `rate`."""
     return verify(
         scalar_loop(
             "x z",
@@ -169,8 +169,8 @@ def test_a_stated_consequence_of_a_driven_signal_has_to_follow():
     ("rate", "rest"),
     [
         (lambda x, p: p.k, lambda x, p: p.k * x.z + x.x),  # unstable
-        (lambda x, p: -p.k, lambda x, p: -p.k * x.z + x.z * x.x),  # what is left moves with z
-        (lambda x, p: -p.k, lambda x, p: p.k * x.z + x.x),  # the linear part is another
+        (lambda x, p: -p.k, lambda x, p: -p.k * x.z + x.z * x.x),  # the remainder moves with z
+        (lambda x, p: -p.k, lambda x, p: p.k * x.z + x.x),  # the linear part differs
         (lambda x, p: 0 * p.k, lambda x, p: x.x),  # an integrator
         (lambda x, p: -x.z, lambda x, p: -x.z * x.z + x.x),  # a rate that is a state without a box
     ],
@@ -189,7 +189,7 @@ def test_a_property_of_a_driven_signal_that_was_not_shown_requires_its_condition
 
 
 def _cascade(weight, *, task):
-    """X' = -weight x, of which one block says that it dissipates weight |x|^2, and another has the cross term |x|^2."""
+    """X' = -weight x; one block declares the dissipation weight |x|^2, and another has the cross term |x|^2."""
     from typing import Any, final
 
     from dmframe.block import AbstractBlock, Equations
@@ -198,7 +198,7 @@ def _cascade(weight, *, task):
 
     @final
     class Dominating(AbstractBlock):
-        """Its state grows or falls."""
+        """Its state increases or decreases."""
 
         outputs = (Output("x"),)
         states = (State("x"),)
@@ -260,7 +260,7 @@ def test_two_loops_in_one_diagram_each_dominate_their_own_cross_term():
 
 
 def test_a_linear_combination_is_found_and_none_is_invented():
-    """The coefficients that limits solves for are those of NumPy's least squares; a product is none."""
+    """The computed coefficients equal those of NumPy's least squares; a product has none."""
     from dmframe.certify.claim import claim_of
     from dmframe.certify.limits import Combinations, Vanishing
 

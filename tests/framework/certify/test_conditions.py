@@ -1,4 +1,4 @@
-"""Conditions at their margins, against brute force, and over intervals."""
+"""Conditions at their margins, compared with brute force, and over intervals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 
 def built(kind: str = "PID", reference: str = "joint", friction: str = "none", **blocks: dict[str, Any]) -> Diagram:
-    """The planar arm with parameters of some blocks changed, and K = 1."""
+    """The planar arm with changed parameters of some blocks, and K = 1."""
     loop = loop_of(load("arm2"), reference, kind, friction=friction)
     made = dict(loop.diagram.blocks)
     for name, values in {"arm": {"K": 1}, **blocks}.items():
@@ -87,7 +87,7 @@ def test_m_bar_that_fails_takes_the_proof_but_not_the_identity() -> None:
 
 
 @pytest.mark.parametrize(("upper", "holds"), [(0.0125, True), (0.012499999999, False), (0.012500000001, True)])
-def test_a_box_may_end_at_the_truth_and_no_sooner(upper: float, holds: bool) -> None:
+def test_a_box_may_end_at_the_truth_but_not_before_it(upper: float, holds: bool) -> None:
     found = checked(built(inverse={"w_box": [0, upper]}))["inverse.w: true value inside the box"]  # 1/K_star = 1/80
     assert found.holds == holds
     assert found.value == pytest.approx(min(upper - 0.0125, 0.0125), abs=1e-16)
@@ -154,7 +154,7 @@ def test_bodies_of_point_masses_are_physical_and_others_are_not() -> None:
         assert min(found) > 0
         L = np.array([[float(x) for x in line] for line in pseudo_inertia([Fraction(float(x)) for x in row])])
         assert float(np.prod([float(x) for x in found])) == pytest.approx(np.linalg.det(L), rel=1e-6)
-    # a triangle inequality broken: I_xx > I_yy + I_zz
+    # a violated triangle inequality: I_xx > I_yy + I_zz
     assert min(pivots(pseudo_inertia([Fraction(x) for x in (1, 0, 0, 0, 3, 0, 1, 0, 0, 1)]))) <= 0
 
 
@@ -216,7 +216,7 @@ def test_friction_that_may_be_there_is_not_taken_for_absent() -> None:
 
 
 def with_condition(expression: Any) -> Diagram:
-    """The planar arm, one block with a condition of a user's."""
+    """The planar arm with one block with a user's condition."""
     block = known_blocks()["pid_inverse"]
 
     def conditions(self: Any, p: Signals, truth: Signals) -> tuple[Inequality, ...]:
@@ -318,8 +318,8 @@ def weighing(make: Any, role: str = "storage") -> Verdict:
     def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         c = block.certificate(self, u, x, p, truth)
         assert c is not None
-        # the square is split in two that add up to it, so that the identity stays true
-        W = make(u) if role == "storage" else make(u) * p.alpha_bar / 10  # in the unit of what it is split off
+        # the square is split into two that add up to it, so that the identity remains true
+        W = make(u) if role == "storage" else make(u) * p.alpha_bar / 10  # in the unit of the square
 
         def split(term: Square) -> tuple[Square, Square]:
             return Square(term.vector, W), Square(term.vector, ca.diag(term.weight * ca.SX.ones(2)) - W)
@@ -353,7 +353,7 @@ def test_a_matrix_of_weights_that_moves_and_is_no_mass_matrix_is_not_taken_for_o
 def test_the_mass_matrix_of_links_that_are_no_bodies_is_only_sampled_and_that_is_assumed() -> None:
     loop = loop_of(load("arm2"), "joint", "PI", friction="none")
     row = list(loop.robot.inertia[1])
-    row[4] = row[9] = row[6] / 2 - Fraction(1, 10**9)  # the triangle inequality broken about the axis alone
+    row[4] = row[9] = row[6] / 2 - Fraction(1, 10**9)  # the triangle inequality violated about this axis only
     robot = dataclasses.replace(loop.robot, inertia=(loop.robot.inertia[0], tuple(row)))
     verdict = verify(Diagram.build(dict(loop.diagram.blocks), {}, robot), trials=1)
     (found,) = (condition for condition in verdict.conditions if condition.name == "M(q) > 0")
@@ -380,7 +380,7 @@ def test_a_bad_interval_states_what_was_expected(given: dict[str, Any], text: st
 
 
 def eliminated(matrix: list[list[Fraction]]) -> list[Fraction]:
-    """The pivots by the book, in Fractions."""
+    """The textbook's pivots, in Fractions."""
     rows, found = [list(row) for row in matrix], list[Fraction]()
     for j in range(len(rows)):
         found.append(rows[j][j])

@@ -1,4 +1,4 @@
-"""A proof of which copies of the process do a part is the proof of one process."""
+"""A proof with parts in forked processes equals the proof in one process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MODULE = importlib.import_module("dmframe.certify.verifier")
 
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if no other test had left a thread in this process, and as if every proof were long."""
+    """As if this process had no other thread, and every proof were long."""
     monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     monkeypatch.setattr(MODULE, "LONG", 0)

@@ -1,4 +1,4 @@
-"""Closed loops that theory says are stable: the identity is never refuted, and the error bound is small."""
+"""Closed loops that are stable by theory: the identity is never refuted, and the error bound is small."""
 
 from __future__ import annotations
 

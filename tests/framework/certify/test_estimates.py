@@ -1,4 +1,4 @@
-"""Declarations of estimates: what follows from them, and that a wrong one is refuted or refused."""
+"""Declarations of estimates: their consequences, and a wrong one is refuted or refused."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Drift(AbstractBlock):
 
 
 class Learner(AdaptingBlock):
-    """dw = -Gamma x: all that there is to state."""
+    """dw = -Gamma x: the only statement."""
 
     inputs = (Input("x", "n", "m/s"), Input("w_nominal", "n", "m/s^2", optional=True))
     outputs = (Output("w", "n", "m/s^2", Access.COMMANDED),)
@@ -69,13 +69,13 @@ class Learner(AdaptingBlock):
 
 
 class Started(Learner):
-    """The same, with a start of its own."""
+    """The same with a start method."""
 
     w: Diagonal | None = Real("n", "m/s^2", default=None)
 
 
 class Nominal(AbstractBlock):
-    """Outputs where the estimate starts."""
+    """Outputs the initial value of the estimate."""
 
     outputs = (Output("w_nominal", "n", "m/s^2"),)
     at: Diagonal = Real("n", "m/s^2", default=0.3)
@@ -154,7 +154,7 @@ def test_an_effect_that_is_not_the_transpose_of_the_direction_is_refuted(monkeyp
 
 
 def says(estimates: Callable[[Signals, Signals], dict[str, TrueValue]]) -> AdaptingBlock:
-    """The learner, which says something else of what it estimates."""
+    """The learner with another statement of what it estimates."""
 
     class Liar(Learner):
         def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
@@ -209,7 +209,7 @@ def test_a_certificate_that_does_not_state_the_true_value_of_each_estimate_is_re
 
 
 def moves(law: Callable[[Signals, SX], dict[str, SX]], **stated: Any) -> type[AdaptingBlock]:
-    """The learner with another law, whose certificate is that of the gradient with it."""
+    """The learner with another law, whose certificate is that of the gradient law with it."""
 
     class Moves(Learner):
         def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
@@ -304,7 +304,7 @@ def test_estimates_of_a_block_that_does_not_adapt_are_refused() -> None:
 
 
 class Minimal(AbstractBlock):
-    """dw = -Gamma x, stated with all the rest; its certificate alone says what w estimates."""
+    """dw = -Gamma x, stated with all rates; only its certificate declares what w estimates."""
 
     inputs = (Input("x", "n", "m/s"),)
     outputs = (Output("w", "n", "m/s^2", Access.COMMANDED),)
@@ -384,7 +384,7 @@ class Seen(Drift):
 
 
 class Fitter(AdaptingBlock):
-    """Composite adaptation, with a memory that forgets."""
+    """Composite adaptation, with forgetting."""
 
     inputs = (Input("x", "n", "m/s"), Input("theta_m", "n", "m/s^2"))
     outputs = (Output("w", "n", "m/s^2", Access.COMMANDED),)
@@ -410,7 +410,7 @@ class Fitter(AdaptingBlock):
 
 
 class StartedElsewhere(Fitter):
-    """Starts somewhere else."""
+    """Starts at another value."""
 
     def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
         return {"w": ca.DM([0.1, 0.1])}

@@ -1,4 +1,4 @@
-"""Files of a claim over samples that state something false: each is refused before it is tested."""
+"""Claim files over samples with false statements: each is refused before the test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same identity by SymPy: once from equations written out by hand, once from dmframe's own instructions."""
+"""The same identity by SymPy: from hand-written equations, and from dmframe's instructions."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_sympy_refutes_the_same_arm_with_one_adaptation_law_turned_round() -> No
 
 
 def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any]]) -> list[Any]:
-    """A CasADi function's instructions, carried out by SymPy; angles are points of the unit circle."""
+    """A CasADi function's instructions, executed by SymPy; angles are points of the unit circle."""
     import sympy as sp
 
     binary = {
@@ -119,7 +119,7 @@ def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any
             fraction = Fraction(f.instruction_constant(k))
             work[write[0]] = sp.Rational(fraction.numerator, fraction.denominator)
         elif code == ca.OP_TANH:
-            work[write[0]] = sp.Rational(len(work) + 2, 7)  # any value: nothing here has Coulomb friction
+            work[write[0]] = sp.Rational(len(work) + 2, 7)  # any value: this loop has no Coulomb friction
         elif code in binary:
             work[write[0]] = sp.cancel(binary[code](work[read[0]], work[read[1]]))
         else:
@@ -128,13 +128,13 @@ def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any
 
 
 def residual_of(claim: Claim) -> Any:
-    """dV/dt plus the dissipation, less all that V may gain, by CasADi's derivatives."""
+    """dV/dt plus the dissipation, minus all terms that may increase V, by CasADi's derivatives."""
     own = [claim.weight(part) * (part.dissipation - part.residual - part.lemma) for part in claim.parts]
     return claim.flow.unrecorded(claim.V) + total(own) - claim.consumption
 
 
 def residual_in_sympy(kept: set[str], factor: int = 1) -> Any:
-    """dmframe's residual with the first element of some signals left as symbols, all else random fractions."""
+    """dmframe's residual with the first element of some signals as symbols, all others random fractions."""
     import sympy as sp
 
     diagram = loop_of(load("arm2"), "joint", "PI", friction="viscous").diagram
@@ -162,7 +162,7 @@ def residual_in_sympy(kept: set[str], factor: int = 1) -> Any:
 
 
 def test_sympy_finds_the_residual_of_the_framework_to_vanish() -> None:
-    # In all symbols at once it would drown; these run through every product of the adaptation and of the velocities.
+    # With all symbols at once it is too large; these occur in every product of the adaptation and of the velocities.
     assert residual_in_sympy({"arm.dq"}) == 0
     assert residual_in_sympy({"inverse.w", "servo.i"}) == 0
 

@@ -1,4 +1,4 @@
-"""Over intervals nothing is decided at the graph's own numbers: "proved" there means that each single graph is."""
+"""Over intervals no decision uses the graph's own values: "proved" then means that each single graph is proved."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def over(*pairs: tuple[str, str]) -> list[Interval]:
 
 @final
 class Stepping(AbstractBlock):
-    """A ramp that jumps by a number of its own, which a graph leaves at zero; another part jumps above two."""
+    """A ramp with a jump by a parameter that is zero in a graph; another part jumps above two."""
 
     side = Side.SOURCE
     inputs = (TIME,)
@@ -80,17 +80,17 @@ def built(**values: float) -> Diagram:
 
 @cache
 def own() -> Verdict:
-    """What is proved at the graph's own numbers."""
+    """Items that are proved at the graph's own values."""
     return verify(built(), trials=1)
 
 
 @pytest.mark.parametrize(
     ("label", "interval", "holds"),
     [
-        ("path.jump", ("-1", "1"), False),  # zero in the graph: a factor would leave it zero
-        ("path.late", ("1", "3"), False),  # a parameter alone switches a jump on
+        ("path.jump", ("-1", "1"), False),  # zero in the graph: a factor would keep it zero
+        ("path.late", ("1", "3"), False),  # only a parameter switches a jump on
         ("toy.b", ("1", "3"), False),  # equal to a in the graph alone
-        ("toy.k", ("1/2", "3"), True),  # k^2 - 2 k + 2 is at least one, which intervals do not see
+        ("toy.k", ("1/2", "3"), True),  # k^2 - 2 k + 2 is at least one, which interval arithmetic does not show
         ("toy.k", ("9/10", "11/10"), True),
     ],
 )
@@ -163,7 +163,7 @@ def test_a_page_checks_a_moved_start_as_verify_checks_a_graph_with_it() -> None:
 
 
 def unlisted(verdict: Verdict) -> list[str]:
-    """Conditions that hold and say neither by which margin nor on what they depend."""
+    """Conditions that hold, without a margin and without the parameters on which they depend."""
     return [item.name for item in verdict.conditions if item.holds and item.margin is None and item.reads is None]
 
 

@@ -1,4 +1,4 @@
-"""Steps of least squares over samples: what they do to V, exactly, and a block that learns so, with its lies."""
+"""Least-squares steps over samples: their exact effect on V, and a block that uses them, with false statements."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def outer(x: list[Fraction]) -> Matrix:
 
 
 def inverse(A: Matrix) -> Matrix:
-    """Gauss and Jordan."""
+    """Gauss-Jordan elimination."""
     n = len(A)
     rows = [[*row, *(Fraction(i == j) for j in range(n))] for i, row in enumerate(A)]
     for i in range(n):
@@ -66,7 +66,7 @@ def form(x: list[Fraction], W: Matrix) -> Fraction:
 
 
 def positive(rng: random.Random, size: int) -> Matrix:
-    """A sum of squares of which one more than the size are drawn, and a little of the identity."""
+    """A sum of one more random square than the size, and a small multiple of the identity."""
     found = [[Fraction(i == j, 5) for j in range(size)] for i in range(size)]
     for _ in range(size + 1):
         found = plus(found, outer(column(rng, size)))
@@ -83,7 +83,7 @@ def test_a_step_moves_v_by_what_it_states_for_every_metric(seed: int) -> None:
     after, heavier = [x + a * missed / size for x, a in zip(error, learnt, strict=True)], plus(W, outer(h), 1 / nu)
     change = form(after, heavier) - form(error, W)
     assert change == -(missed**2) / size + eta**2 / nu
-    assert change != -(missed**2) / size + eta**2 / size  # the floor alone weighs what nothing explains
+    assert change != -(missed**2) / size + eta**2 / size  # the floor is the only weight
     for learnt_otherwise in (times(inverse(heavier), h), [-a for a in learnt]):
         other = [x + a * missed / size for x, a in zip(error, learnt_otherwise, strict=True)]
         assert form(other, heavier) - form(error, W) != change
@@ -156,7 +156,7 @@ def test_the_term_states_the_same_exactly_at_random_symmetric_memories() -> None
 
 
 def test_steps_are_least_squares_of_all_rows() -> None:
-    """With a wide box and nothing forgotten: the minimum of all that was seen, and of the distance from the start."""
+    """With a wide box and without forgetting: the minimum over all rows and the distance from the start."""
     rng, steps, symbols = np.random.default_rng(3), *steps_of(3)
     after = ca.Function("after", symbols, [steps.held, steps.kept])
     parts, nu, gain = steps.parts, 0.2, rng.uniform(0.5, 2, 5)
@@ -180,7 +180,7 @@ def test_after_a_step_the_estimate_is_in_its_box_and_no_farther_from_what_it_hol
     theta, true, gain, ends = np.zeros(7), rng.uniform(-1, 1, 7), rng.uniform(0.5, 2, 7), np.outer(np.ones(7), [-1, 1])
     G, before, dropped, met = np.zeros(packed_size(steps.parts)), np.inf, 0, 0
     for k in range(400):
-        h = (1 + 0.3 * rng.normal(size=7)) * 3.0 ** rng.uniform(-3, 1)  # alike, so that one face leads out of another
+        h = (1 + 0.3 * rng.normal(size=7)) * 3.0 ** rng.uniform(-3, 1)  # similar, so that one face leads out of another
         explained = np.array([h[part] @ true[part] for part in parts])
         eta = 3 * rng.normal(size=2) * (k % 2)
         was, y = G, explained + eta
@@ -226,7 +226,7 @@ class Cart(AbstractBlock):
 
 
 class Learner(AbstractBlock):
-    """Learns m and b from c = m [v]/T + b [y]/T, by least squares or by what it passes off as that."""
+    """Estimates m and b from c = m [v]/T + b [y]/T, by least squares or by a replacement."""
 
     inputs = (Input("y"), Input("v"), PERIOD)
     outputs = (Output("c", access=Access.COMMANDED),)
@@ -251,7 +251,7 @@ class Learner(AbstractBlock):
         return LeastSquaresSteps("theta", "G", *own)
 
     def _mutated(self, x: Signals, p: Signals, steps: LeastSquaresSteps) -> tuple[Any, Any]:
-        """Theta and G as a lie has them."""
+        """Theta and G of a false statement."""
         (h, y), theta, G = steps.rows[0], steps.held, steps.kept
         old = ca.DM.eye(2) / p.gain + ca.tril2symm(ca.SX(ca.Sparsity.lower(2), x.G))
         new, missed = old + h @ h.T / p.floor, y - ca.dot(h, x.theta)
@@ -373,7 +373,7 @@ def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_reported(
 
 @pytest.mark.parametrize("lie", ["", "another_relation"])
 def test_rows_are_compared_with_the_plants_motion_whatever_relation_is_stated(lie: str) -> None:
-    """dy/dt = v is true of the plant, and does not depend on its mass."""
+    """dy/dt = v is true for the plant, and independent of its mass."""
     found = verdict(lie=lie)
     assert found.outcome == "proved"
     assert not found.rows_assumed
@@ -388,5 +388,5 @@ def test_along_a_run_v_falls_and_the_true_values_are_found() -> None:
     error, G = run.states["learner.theta"] - np.array([2.0, 0.5]), run.states["learner.G"]
     W = np.array([[[1 / 2 + a, b], [b, 1 / 2 + c]] for a, b, c in G])
     V = np.einsum("ki,kij,kj->k", error, W, error)
-    assert np.all(np.diff(V) < 1e-9)  # over a sample the relation is exact
+    assert np.all(np.diff(V) < 1e-9)  # over a sample the identity is exact
     assert np.max(np.abs(error[-1])) < 1e-3

@@ -1,4 +1,4 @@
-"""Lemmas for functions that a prime field does not have, projections, ill-formed certificates, blocks of a user."""
+"""Lemmas for functions that a prime field does not have, projections, ill-formed certificates, users' blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""False theorems that `verify` once proved: each is a loop whose motion is known by hand."""
+"""False theorems that `verify` once proved: each is a loop with a known solution."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_one_square_does_not_dominate_four_elements() -> None:
 
 
 def test_a_sentence_does_not_make_an_equation_stable() -> None:
-    """z' = 2 z + x grows without end."""
+    """z' = 2 z + x is unbounded."""
     sure = (Assumption("the sun rises", "an almanac"),)
     verdict = verify(
         scalar_loop(
@@ -85,7 +85,7 @@ def test_a_sentence_does_not_make_an_equation_stable() -> None:
 
 @final
 class Pushed(AbstractBlock):
-    """An estimate that t sin t pushes against its box; y follows the push, and so swings as far as t."""
+    """An estimate that t sin t drives against its box; y follows this rate, so its amplitude is t."""
 
     inputs = (TIME,)
     states = (State("x"), State("theta", box="theta_box"), State("y"))
@@ -107,7 +107,7 @@ def test_what_a_projection_takes_away_is_bounded_only_where_the_rate_is() -> Non
 
 
 def test_a_path_that_the_proof_differentiates_late_has_to_be_smooth_too() -> None:
-    """Pulses of 2 + sin t for 1/(1 + t)^2 at each whole second: x stops short of zero, and r does not vanish."""
+    """Pulses of 2 + sin t for 1/(1 + t)^2 at each whole second: x does not reach zero, and r does not vanish."""
     verdict = verify(
         scalar_loop(
             "x z",
@@ -188,7 +188,7 @@ class Mass(AbstractBlock):
 
 @final
 class Pd(AbstractBlock):
-    """It derives the speed, which the diagram takes from the sensor."""
+    """It differentiates the speed, whose derivative the diagram takes from the sensor."""
 
     inputs = (Input("y"), Input("dy", unit="1/s", derivative_of="y"))
     outputs = (Output("f", unit="1/s^2", access=Access.COMMANDED),)

@@ -1,4 +1,4 @@
-"""Lies over samples: steps of one estimate that are stated twice, and losses of a block that stores nothing."""
+"""False claims over samples: steps of one estimate that are stated twice, and losses of a block without storage."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dmframe.diagram import Diagram
 
 
 class Twice(Learner):
-    """States its steps a second time, before or after the first: as they are, or of rows that it never learns from."""
+    """States its steps a second time, before or after the first: unchanged, or with rows that it does not use."""
 
     lies: bool = False
     before: bool = False
@@ -47,7 +47,7 @@ def test_the_same_steps_twice_are_proved() -> None:
 
 
 class Remembers(AbstractBlock):
-    """f+ = y, stored in no V; what it states to be lost or gained on the way is made up."""
+    """f+ = y, stored in no V; its stated loss or gain is invented."""
 
     inputs = (Input("y", "2"),)
     states: States = (State("f", "2", sampled=True),)

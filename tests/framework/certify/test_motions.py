@@ -1,4 +1,4 @@
-"""Motions with which rows are compared: of two carts against their exact solution, and blocks that lie about them."""
+"""Motions for the comparison of rows: two carts compared with their exact solution, and blocks with false rows."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_command_is_replaced_wherever_it_appears() -> None:
 
 
 class Summing(Learner):
-    """Stores the sum of its commands, and takes the difference."""
+    """Stores the sum of its commands, and outputs the difference."""
 
     states = (*Learner.states, State("sum", "2", sampled=True))
     fault: float = 1.0
@@ -88,7 +88,7 @@ def test_a_block_may_store_its_command_in_any_form() -> None:
 
 
 class Shuffled(Learner):
-    """Stores rows with the answer of the other cart, and states the same."""
+    """Stores rows with the output of the other cart, and states the same."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         own = super().equations(u, x, p)
@@ -126,7 +126,7 @@ class Lavish(Learner):
 
 
 class Bent(Learner):
-    """Has an unknown constant squared among its true values."""
+    """Has the square of an unknown constant among its true values."""
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         stated, free = super().certificate(u, x, p, truth), ca.SX.sym("free")
@@ -135,7 +135,7 @@ class Bent(Learner):
 
 
 class Idle(Learner):
-    """Learns nothing of the second cart."""
+    """Does not estimate parameters of the second cart."""
 
     def _steps(self, u: Signals, x: Signals, p: Signals, true: Any) -> Any:
         steps, cart = super()._steps(u, x, p, true), ca.DM([1, 1, 0, 0])
@@ -143,7 +143,7 @@ class Idle(Learner):
 
 
 class Direct(Carts):
-    """Outputs the command in what it measures."""
+    """Outputs the command as part of its measurement."""
 
     outputs = (*Carts.outputs, Output("extra", "2", access=Access.MEASURED))
 
@@ -153,7 +153,7 @@ class Direct(Carts):
 
 
 class Reading(Learner):
-    """Reads it."""
+    """Reads that output."""
 
     inputs = (*Learner.inputs, replace(Learner.inputs[0], name="extra"))
 

@@ -58,13 +58,13 @@ ACCEPTED = {"refuted", "no diagram", "condition", "units", "equivalent", "unchan
 
 @cache
 def held() -> frozenset[str]:
-    """Types of blocks with a closed loop."""
+    """Types of blocks in a closed loop."""
     return frozenset(kind for loop in loops() for kind in loop.types)
 
 
 LEAST = {"helpers": 2, "adapting": 1}
-"""Faults refuted of a sample of 20: no proof depends on the paths of sources, which are most of what blocks share, and
-an adaptation with another group of signals than its own names a signal that this group does not hold."""
+"""Faults refuted of a sample of 20: no proof depends on the paths of sources, which are most of the shared code, and
+an adaptation with another group of signals names a signal that this group does not contain."""
 
 
 def loop(name: str) -> Built:
@@ -75,7 +75,7 @@ def loop(name: str) -> Built:
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> tuple[Built, ...]:
-    """One closed loop of each number of joints up to three, in place of all."""
+    """One closed loop for each number of joints up to three, instead of all."""
     found = tuple(map(loop, ("odd3 joint PI", "arm2 joint PI", "pd_torque")))
     monkeypatch.setattr("judged_faults.loops", lambda: found)
     return found
@@ -104,10 +104,10 @@ def test_no_fault_in_the_equations_of_any_block_is_proved_unless_dv_dt_remains_t
     acting = [r for r in results if r.outcome != "no diagram" and r.reason not in (SAME_RATES, UNCHANGED)]
     acting = [r for r in acting if r.mutant.owner not in free]
     outcomes = Counter(result.outcome for result in acting)
-    assert outcomes["units"] > 0  # of these the identity is true
+    assert outcomes["units"] > 0  # for these the identity is true
     others = [(str(r.mutant), r.loop, r.reason) for r in acting if r.outcome not in ("refuted", "units")]
     assert len(others) < 0.1 * (len(acting) - outcomes["units"]), others
-    # V does not depend on a redundant robot's self-motion, nor on what an estimate of a payload outputs; without a term
+    # V does not depend on a redundant robot's self-motion, nor on the outputs of a payload estimate; without a term
     # in the error V decreases along any reference
     unseen = {"null_space_posture", "joint_feedforward", "payload_estimate"}
     refuted = {result.mutant.owner for result in results if result.outcome == "refuted"}
@@ -152,7 +152,7 @@ def test_faults_in_shared_functions_are_refuted_or_leave_a_true_claim(which: str
     results = results_of(faults[:: max(1, len(faults) // (60 if which == "adapting" else 20))])
     refuted = Counter(result.outcome for result in results)["refuted"]
     assert refuted >= LEAST.get(which, 7), refuted
-    lost = ("NameError", "UnboundLocalError", "ImportError")  # of the harness, since no fault makes a name
+    lost = ("NameError", "UnboundLocalError", "ImportError")  # of the harness, since no fault creates a name
     assert [result.reason for result in results if any(word in result.reason for word in lost)] == []
 
 
@@ -164,7 +164,7 @@ def test_no_source_is_part_of_the_claim() -> None:
 
 
 def faulty(kind: str, ending: str) -> Mutant:
-    """The last fault of a block's equations whose description ends so: rates come after outputs."""
+    """The last fault of a block's equations whose description ends so: rates follow outputs."""
     return [mutant for mutant in block_mutants(kind, known_blocks()[kind]) if mutant.fault.endswith(ending)][-1]
 
 
@@ -255,7 +255,7 @@ def test_a_conclusion_that_a_fault_adds_is_found_and_one_that_it_takes_is_not() 
 def test_a_fault_of_a_shared_function_is_put_into_robots_of_several_sizes(few: tuple[Built, ...]) -> None:
     fault = next(m for m in library_mutants("symbolic") if m.fault.endswith("omega * dq[i]: only omega left"))
     assert [of.robot.n for of in homes(fault, few)] == [1, 2, 3]
-    assert tried(fault)[0].outcome == "refuted"  # not with axes that are parallel
+    assert tried(fault)[0].outcome == "refuted"  # not with parallel axes
 
 
 def row(outcome: str, reason: str = "", sources: str = "here") -> dict[str, str | float]:

@@ -1,4 +1,4 @@
-"""Every statement about a signal uses a name that no other signal has."""
+"""Every statement about a signal uses a unique name."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _block(
 ) -> AbstractBlock:
     @final
     class Toy(AbstractBlock):
-        """What the arguments say."""
+        """Certificate as given by the arguments."""
 
         side: ClassVar[Side] = its
         states: ClassVar[tuple[State, ...]] = tuple(State(name) for name in names.split())

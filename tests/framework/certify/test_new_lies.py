@@ -1,4 +1,4 @@
-"""False statements of limits, assumed inputs, errors, loads and filters that must not be proved, and true ones."""
+"""False statements about limits, assumed inputs, errors, loads and filters, which must not be proved, and true ones."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def says(verdict: Verdict, what: str) -> list[str]:
     return [item.signal for item in verdict.statements if item.says.startswith(what)]
 
 
-# A tube is as wide as V(0), which is enclosed.
+# The width of a tube follows from V(0), which is enclosed.
 
 WIDE = 1e9
 
 
 def limited(stored: Callable[[Any], Any], start: float, slow: float, **uncertain: Any) -> Verdict:
-    """A position q that leaves a reference by s, of which V holds a potential, and dV/dt dissipates a square."""
+    """A position q with a distance s from a reference; V contains a potential of s, and dV/dt dissipates a square."""
 
     def barrier(x: Any) -> Barrier:
         low, high, speed, rate, width = map(ca.SX, (-1.0, 1.0, 50.0, 3.0, 0.02))
@@ -91,7 +91,7 @@ def test_no_tube_is_reported_where_a_source_steps_since_v_begins_again_there() -
     assert says(dm.load(made, name="still").verify().verdict, "stays between") == ["arm.q"]
 
 
-# The text of a block's assumption of an input is not the block's own.
+# The text of a block's assumption about an input is not the block's own.
 
 
 def driven(inputs: Callable[[Any], Any], growth: float, sources: Any = None) -> Verdict:
@@ -121,7 +121,7 @@ def test_what_is_assumed_of_an_input_is_that_it_stays_bounded_and_what_it_is_mad
 
 
 def mixed(inputs: Callable[[Any], Any]) -> Verdict:
-    """The driven sum w + v has a state in common with its input 3 v; w' = -w + v and v' = v."""
+    """The linear subsystem of the sum w + v shares a state with its input 3 v; w' = -w + v and v' = v."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         otherwise = (Assumption("v stays bounded", "a test"),)
@@ -141,20 +141,20 @@ def test_an_input_may_read_a_state_of_what_it_drives_if_it_alone_does_not_bound_
 
 @pytest.mark.parametrize("power", [1, 3])
 def test_an_input_whose_states_bound_what_it_drives_bounds_nothing(power: int) -> None:
-    """The same input, with w in it: to assume it bounded would assume what follows."""
+    """The same input, containing w: assuming it bounded would assume the conclusion."""
     verdict = mixed(lambda x: 3 * x.v + (x.w + x.v) ** power)
     assert "w + v" not in says(verdict, "is bounded")
     assert verdict.states is not None
     assert {"toy.v", "toy.w"} <= set(verdict.states.open)
 
 
-# A matrix that can never have full row rank takes no error to zero.
+# A matrix that can never have full row rank does not make an error converge.
 
 
 def ranked(R: Callable[[Any], Any]) -> Verdict:
     @final
     class Toy(AbstractBlock):
-        """Of z the first element vanishes alone."""
+        """Only the first element of z vanishes."""
 
         outputs = (Output("R", "2 2", full_rank=True),)
         states = (State("y"), State("z", "2"))
@@ -191,7 +191,7 @@ def test_an_error_that_is_identically_zero_is_none() -> None:
     assert "identically zero" in verdict.reason
 
 
-# Loads that are no bodies.
+# Loads that are not physically consistent.
 
 
 def carrying(load: Callable[[Any], Any]) -> Verdict:
@@ -230,7 +230,7 @@ def point(mass: float) -> Any:
     return ca.DM([mass, 0.1 * mass, 0, 0, 0, 0, 0.01 * mass, 0, 0, 0.01 * mass])
 
 
-def test_a_load_lighter_than_nothing_fails_its_condition() -> None:
+def test_a_negative_mass_fails_its_condition() -> None:
     assert carrying(lambda t: point(3.0) * (t >= 1)).outcome == "proved"
     lying = carrying(lambda t: point(3.0) - point(60.0) * (t >= 20))
     assert lying.outcome == "not_applicable"
@@ -253,7 +253,7 @@ def test_what_is_named_as_filtered_has_to_be_an_input() -> None:
 def test_a_generator_that_names_errors_may_be_filtered() -> None:
     @final
     class Wishing(AbstractBlock):
-        """A wish."""
+        """A reference."""
 
         outputs = (Output("wish"),)
         states = (State("z"),)
@@ -266,7 +266,7 @@ def test_a_generator_that_names_errors_may_be_filtered() -> None:
 
     @final
     class Following(AbstractBlock):
-        """Reads the wish."""
+        """Reads the reference."""
 
         inputs = (Input("wish"),)
         states = (State("y"),)
@@ -282,7 +282,7 @@ def test_a_generator_that_names_errors_may_be_filtered() -> None:
     assert says(verdict, "goes to zero") == ["y", "dy"]
 
 
-# The primes are not known beforehand, and what is above zero may have an edge there.
+# The primes are not known in advance, and a positive function may have an edge there.
 
 
 def test_what_vanishes_modulo_primes_that_are_known_is_not_zero() -> None:

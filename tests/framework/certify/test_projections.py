@@ -1,4 +1,4 @@
-"""What the projection lemma needs: the start in the set, a truth that stands still, a law that obeys it."""
+"""Requirements of the projection lemma: the start in the set, a constant true value, and the projection law."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from dmframe.simulate import start_state
 
 
 class Drift(AbstractBlock):
-    """dx = -x + (w - theta); w learns theta, a number of the plant, or something that moves."""
+    """dx = -x + (w - theta); w estimates theta, a parameter of the plant, or a moving signal."""
 
     side = Side.PLANT
     inputs = (Input("w", "n"),)
@@ -68,7 +68,7 @@ class Learner(AbstractBlock):
     w_box: Range = Ends("n")
     w_ball: Sphere = Around("n")
     cheats: bool = False
-    """The rate is corrected by the truth's, so that V falls although the truth moves."""
+    """The rate is corrected by that of the true value, so that V decreases although the true value moves."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         moved = u.x if self.cheats else 0
@@ -80,13 +80,13 @@ class Learner(AbstractBlock):
 
 
 class Started(Learner):
-    """The same, with a start of its own."""
+    """The same with a start method."""
 
     w: Diagonal = Real("n", default=0.0)
 
 
 class Says(Learner):
-    """The same, with a start that its method says: a multiple of the gain, or the plant's x."""
+    """The same, with a stated start: a multiple of the gain, or the plant's x."""
 
     times: Scalar = Real(default=1.0)
     by_plant: bool = False
@@ -127,7 +127,7 @@ STARTS = "learner.w: starts inside the {}"
     ],
 )
 def test_what_is_proved_starts_as_a_run_of_it_may(learner: AbstractBlock, inside: bool) -> None:
-    """The independent judge is `start_state`, which lets a run begin or does not."""
+    """The independent check is `start_state`, which allows a run or not."""
     built = diagram(learner)
     kind = "box" if learner.model_dump()["w_box"] else "ball"
     verdict = verify(built, trials=1)
@@ -201,7 +201,7 @@ STILL = "learner.w: true value stands still"
 
 
 def test_a_truth_that_moves_is_refused_though_dv_dt_of_the_diagram_vanishes() -> None:
-    """The learner knows how the truth moves: the identity holds, and the truth walks out of the box."""
+    """The estimator uses the motion of the true value: the identity holds, but the true value leaves the box."""
     built = diagram(Learner(cheats=True, w_box=[0, 1]), moves="state")
     verdict = verify(built, trials=1)
     assert verdict.test is not None
@@ -300,7 +300,7 @@ def test_a_fault_in_a_law_takes_the_proof(
 
 
 def _once(fault: Any, true: Any) -> Any:
-    """The fault in the place of the true method, which it may call."""
+    """The fault instead of the true method, which it may call."""
     busy = []
 
     def method(self: Any, *arguments: Any) -> Any:

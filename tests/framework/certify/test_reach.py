@@ -1,4 +1,4 @@
-"""A desired path out of reach: found by one instant, with the distance; never where the tool can be."""
+"""An unreachable desired path: found at one instant, with the distance; never if the tool can reach it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def far(graph: dm.Graph) -> list[str]:
 
 @pytest.fixture(scope="module")
 def farthest() -> float:
-    """Of the tool from the first joint, by Pinocchio, over a grid of poses."""
+    """Distances of the tool from the first joint, by Pinocchio, over a grid of poses."""
     robot = following({"type": "setpoint", "x_d": [0.5, 0.1]}).diagram.robot
     model = pin.buildModelFromUrdf(str(find_robot("arm2").urdf))
     data, tool = model.createData(), np.array([float(x) for x in robot.tool])
@@ -186,14 +186,14 @@ def test_the_shell_is_that_by_hand_and_holds_what_pinocchio_reaches(name: str, t
         sizes.append(float(np.linalg.norm(shell.across @ (place - shell.center))))
     assert shell.inner <= min(sizes)
     assert max(sizes) <= shell.outer
-    if name != "turned base in space":  # whose second axis has no pose in which the offsets are on one line
+    if name != "turned base in space":  # for whose second axis no pose aligns the offsets
         assert min(sizes) < inner + 0.05
         assert outer - 0.05 < max(sizes)
 
 
 @dataclass(frozen=True)
 class Chained:
-    """What `shell_of` reads of a robot."""
+    """The data of a robot that `shell_of` reads."""
 
     chain: SerialChain
 

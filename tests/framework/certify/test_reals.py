@@ -1,4 +1,4 @@
-"""What a second look at real points says of claims of one line: each lie is refuted, and nothing true is."""
+"""The cross-check at real points for claims of one line: each false claim is refuted, and no true one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ONE, ZERO = ca.SX(1), ca.SX(0)
 
 
 def decide(rate: Any, spent: Any, of_z: Any = None) -> Verdict:
-    """y' = rate(y) claims to lose `spent(y)` of y^2 / 2; z' = of_z(y, t) z claims to lose z^2."""
+    """y' = rate(y) claims the loss `spent(y)` of y^2 / 2; z' = of_z(y, t) z claims the loss z^2."""
     states = "y" if of_z is None else "y z"
 
     def rates(x: Any, u: Any, p: Any) -> dict[str, Any]:
@@ -78,7 +78,7 @@ def test_what_no_real_point_contradicts_is_not_decided_and_gives_the_reason(name
     assert why in verdict.reason
 
 
-# Each is -1 wherever numbers are drawn, and 0 on a set that the loop never leaves.
+# Each is -1 at all random points, and 0 on a set that the loop never leaves.
 SWITCHES = {
     "sign squared": lambda y, t: -(ca.sign(y) ** 2),
     "sign of a product squared": lambda y, t: -(ca.sign(y * (1 + y * y)) ** 2),

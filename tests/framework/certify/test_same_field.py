@@ -1,4 +1,4 @@
-"""The field that is proved is the field that runs."""
+"""The vector field of the proof is that of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Proofs over samples: an estimator, a filter and a memory, each with the false statements that it could make."""
+"""Proofs over samples: an estimator, a filter and a delay line, each with false statements."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Carts(AbstractBlock):
 
 
 class Learner(AbstractBlock):
-    """Learns m and b from c = m [v]/T + b [y]/T, which over a sample is exact; and moves the carts about."""
+    """Estimates m and b from c = m [v]/T + b [y]/T, which is exact over a sample; and moves the carts."""
 
     inputs = (Input("y", "2"), Input("v", "2"), PERIOD)
     outputs = (Output("c", "2", access=Access.COMMANDED),)
@@ -134,7 +134,7 @@ class Learner(AbstractBlock):
 
 
 class Smoother(AbstractBlock):
-    """f+ = a f + y, whose square it claims to lose but for that of y."""
+    """f+ = a f + y, with the claimed loss f^2 minus y^2."""
 
     inputs = (Input("y", "2"),)
     states = (State("f", "2", sampled=True),)
@@ -238,13 +238,13 @@ def test_along_a_run_v_falls_by_what_numpy_states_and_the_true_values_are_found(
     assert V[-1] < 1e-3 * V[0]
     y, v, c = (run.states[name] for name in ("carts.y", "carts.v", "learner.c_old"))
     rows = [(np.stack([v[k] - v[k - 1], y[k] - y[k - 1]], axis=1) / T, c[k]) for k in range(1, len(y))]
-    k = 40  # the row that is learnt from at tick k is that of the sample before
+    k = 40  # the row used at sample k is that of the previous sample
     now, error = theta[k].copy(), 0.0
     for h, wanted in (rows[k - 1], rows[k - 2], rows[k - 3], rows[k - 4], rows[k - 1]):
         size = 0.01 + 2.0 * np.sum(h * h, axis=1)
         missed = wanted - np.sum(h * now, axis=1)
         seen = np.sum(h * (now - true), axis=1)
-        np.testing.assert_allclose(missed, -seen, atol=1e-9)  # the relation is exact over a sample: eta is zero
+        np.testing.assert_allclose(missed, -seen, atol=1e-9)  # the identity is exact over a sample: eta is zero
         error += np.sum(seen**2 / size + 0.01 * missed**2 / size**2)
         now += 2.0 * h * (missed / size)[:, None]
     np.testing.assert_allclose(theta[k + 1], now, rtol=1e-12, atol=1e-12)
@@ -277,7 +277,7 @@ class Mute(AbstractBlock):
 
 
 class MisshapenLearner(Learner):
-    """Shapes and names that do not fit."""
+    """Wrong shapes and names."""
 
     wrong: Literal["name", "shape", "box"] = "name"
 
@@ -308,7 +308,7 @@ def test_a_value_of_the_wrong_shape_or_name_is_refused(wrong: Any, says: str) ->
 
 
 class Push(AbstractBlock):
-    """Pulls the carts back."""
+    """Moves the carts back."""
 
     inputs = (Input("y", "2"),)
     outputs = (Output("c", "2", access=Access.COMMANDED),)
@@ -318,7 +318,7 @@ class Push(AbstractBlock):
 
 
 class Nothing(Square):
-    """A square that counts for nothing."""
+    """A square without effect."""
 
     @property
     def value(self) -> Any:
@@ -329,11 +329,11 @@ class Nothing(Square):
 
 
 class SaysLess(Certificate):
-    """A certificate of a class of its own."""
+    """A certificate of another class."""
 
 
 class Filter(AbstractBlock):
-    """f+ = a f + y, and statements about it that are false or void."""
+    """f+ = a f + y, with false or void statements about it."""
 
     inputs = (Input("y", "2"), Input("v", "2"), TIME)
     states = (State("f", "2", sampled=True), State("rows", "2 2", sampled=True))
@@ -433,7 +433,7 @@ def test_two_relations_are_two_controls() -> None:
 
 
 class BoxedFilter(Filter):
-    """The framework puts it back into a box, of which its claim knows nothing."""
+    """The framework projects it onto a box, which its claim does not contain."""
 
     states = (State("f", "2", box="f_box", sampled=True), State("rows", "2 2", sampled=True))
     f_box: Box = Interval(default=(5.0, 6.0))
@@ -449,7 +449,7 @@ def test_what_the_framework_does_after_a_sample_is_a_part_of_the_map() -> None:
 
 
 class Steps(AbstractBlock):
-    """Learns an unknown weight from the carts' positions."""
+    """Estimates an unknown weight from the carts' positions."""
 
     inputs = (Input("y", "2"), PERIOD)
     states = (State("w", "2", sampled=True),)
@@ -551,7 +551,7 @@ def test_a_residual_without_a_bound_and_rows_without_a_relation_are_listed() -> 
 
 
 class Emulated(Mute):
-    """Claims something in continuous time, which a clock does not keep."""
+    """Claims a statement in continuous time that is false in discrete time."""
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         return Certificate(storage=(Square(x.i),), supply=ca.dot(x.i, u.y))
@@ -563,7 +563,7 @@ def test_a_certificate_in_continuous_time_is_listed_as_no_contribution() -> None
 
 
 class Wordy(Steps):
-    """Breaks the line of what it states, so that its words stand like a verdict's."""
+    """Breaks the line of its text, so that the rest resembles a verdict."""
 
     said: str = ""
 
@@ -585,7 +585,7 @@ def stepping(
     stored: Callable[[Any], Any] = lambda x: x.x,
     lost: Callable[[Any], Square] = lambda x: Square(x.x, ca.SX(0.375)),
 ) -> Diagram:
-    """One block whose states step, with what it stores and loses."""
+    """One block with sampled states, with its storage and losses."""
 
     class Toy(AbstractBlock):
         inputs = ()
@@ -639,7 +639,7 @@ def test_a_state_does_not_follow_from_bounded_ones_where_its_next_value_need_not
 
 
 def test_a_vector_that_jumps_does_not_bound_the_state_that_it_holds() -> None:
-    rest = stepping(  # x - floor(x) stays below 1 while x rises without end
+    rest = stepping(  # x - floor(x) stays below 1 while x is unbounded
         "x",
         lambda x: {"x": x.x + 1 + 0 * x.x},
         lambda x: x.x - ca.floor(x.x),
@@ -663,7 +663,7 @@ def test_of_sums_of_states_only_what_they_determine_is_bounded() -> None:
 
 
 class Listener(Learner):
-    """Learns from the commands of another."""
+    """Adapts from the commands of another block."""
 
     inputs = (*Learner.inputs, Input("received", "2"))
 
@@ -721,7 +721,7 @@ def test_the_former_names_give_the_same_proof_with_a_notice() -> None:
 @pytest.mark.parametrize("name", ["task", "linear", "supply"])
 def test_a_field_of_continuous_time_is_refused_over_samples(name: str) -> None:
     class Mixed(Filter):
-        """A filter that states something of continuous time as well."""
+        """A filter with a statement in continuous time in addition."""
 
         def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
             linear = StableLinear((x.f,), ((ca.DM([-1, -1]),),), (x.f,))

@@ -1,4 +1,4 @@
-"""Seeded faults are faults of the function itself: its names, defaults, closure and decorators are kept."""
+"""Seeded faults are faults of the function itself: its names, defaults, closure and decorators are unchanged."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_decorated_function_keeps_its_helpers_and_its_decorator() -> None:
     made = compiled(source_of(dmframe.block.linalg.solve_spd), dmframe.block.linalg.solve_spd)
     A, b = np.array([[3.0, 1], [1, 2]]), np.array([1.0, -1])
     np.testing.assert_allclose(ca.DM(made(ca.SX(A), ca.SX(b))).full().ravel(), np.linalg.solve(A, b))
-    assert "solve_spd" in str(made(ca.MX(A), ca.MX(b)))  # one node, as the decorator makes it
+    assert "solve_spd" in str(made(ca.MX(A), ca.MX(b)))  # one node, as created by the decorator
     assert inspect.unwrap(made).__globals__ is vars(dmframe.block.linalg)
 
 

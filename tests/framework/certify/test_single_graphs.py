@@ -1,7 +1,7 @@
-"""A verdict over many numbers at once is what `verify` says of each graph by itself: boxes, counts, and moved numbers.
+"""A verdict over many numbers is that of `verify` for each single graph: boxes, counts, and moved numbers.
 
-Of each packaged graph some numbers and starts are drawn, those that are zero too. Whenever the box, the count of a
-study or the margins of a page say that the proof holds, or that it fails, `verify` of that single graph has to agree.
+For each packaged graph some numbers and initial values are drawn, zeros included. If the box, the count of a study
+or the margins of a page report that the proof holds, or that it fails, `verify` of that single graph has to agree.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from dmframe.robot.rational import decimal
 from dmframe.study.sample_proofs import FAILS, HOLDS, conditions_at
 
 LABELS, POINTS = 3, 2
-"""Numbers of each graph that move, one after another, and how many values of each are tried."""
+"""Numbers of each graph that are changed, one after another, and how many values of each are tried."""
 
 
 def numbers(diagram: Diagram) -> list[str]:
-    """Parameters that are numbers and may move alone, and the starts of all states."""
+    """Parameters that are numbers and can be changed separately, and the initial values of all states."""
     own = {parameter.label for parameter in diagram.loop.parameters if not parameter.label.startswith("robot.")}
     starts = [f"{START}{variable.label}" for variable in diagram.loop.variables]
     return sorted(label for label in own if label.partition(".")[0] in diagram.blocks) + starts
 
 
 def drawn(diagram: Diagram, label: str, rng: np.random.Generator) -> np.ndarray | None:
-    """Values about the graph's own, a row each; None where its block takes none of them."""
+    """Values near the graph's own, a row each; None if its block accepts none of them."""
     if label.startswith(START):
         variable = next(v for v in diagram.loop.variables if f"{START}{v.label}" == label)
         held = diagram.models[variable.block].values.get(variable.name, np.zeros(variable.symbol.numel()))
@@ -55,7 +55,7 @@ def drawn(diagram: Diagram, label: str, rng: np.random.Generator) -> np.ndarray 
 
 
 def written(diagram: Diagram, label: str, rows: np.ndarray) -> np.ndarray:
-    """As a graph file writes them: of an interval all lower ends, and then all upper ones."""
+    """Values as in a graph file: for an interval all lower ends, then all upper ones."""
     block, _, name = label.partition(".")
     spec = specs(type(diagram.blocks[block])).get(name) if block in diagram.blocks else None
     return np.moveaxis(rows, -1, 1) if spec is not None and spec.form in PAIRS else rows
@@ -70,14 +70,14 @@ def _taken(diagram: Diagram, label: str, row: np.ndarray) -> bool:
 
 
 def single(diagram: Diagram, start: dict[str, Any], label: str, row: np.ndarray) -> Verdict:
-    """Of one graph by itself."""
+    """Verdict on one graph."""
     if label.startswith(START):
         return verify(diagram, start={**start, label.removeprefix(START): row.tolist()})
     return verify(with_values(diagram, {label: row.tolist()}), start=start)
 
 
 def box_of(diagram: Diagram, start: dict[str, Any], label: str, rows: np.ndarray) -> Verdict | None:
-    """Over all between the rows; None of a parameter that the loop holds in other numbers."""
+    """Verdict over the box of the rows; None for a parameter that is part of other numbers of the loop."""
     shape = next((p.value.shape for p in diagram.loop.parameters if p.label == label), rows.shape[1:])
     if shape != rows.shape[1:]:
         return None
@@ -87,7 +87,7 @@ def box_of(diagram: Diagram, start: dict[str, Any], label: str, rows: np.ndarray
 
 
 def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
-    """Each comparison: which numbers moved, and ``agrees``, ``open``, or what was false."""
+    """Each comparison: the changed numbers, and ``agrees``, ``open``, or the false report."""
     graph = dm.load(name)
     diagram, start = graph.diagram, dict(graph.start)
     rng = np.random.default_rng(zlib.crc32(name.encode()))
@@ -116,7 +116,7 @@ def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
 
 
 def false(name: str, labels: int) -> list[tuple[str, str]]:
-    """What was said and is not so; of a graph of which nothing moves nothing is compared."""
+    """False reports; an empty comparison for a graph without changed numbers."""
     return [(label, what) for label, what in disagreements(name, labels) if "falsely" in what]
 
 
@@ -127,7 +127,7 @@ def test_single_graphs_agree_with_the_verdict_over_many_numbers() -> None:
 def test_the_ends_of_an_interval_are_those_of_the_graph_that_writes_them() -> None:
     graph, label = dm.load("arm2_joint"), "inverse.w_I_box"
     diagram, start = graph.diagram, dict(graph.start)
-    # the first reads the same whichever ends are written as a row; of the second only the ends as written hold
+    # the first is the same for either order of the ends in a row; the second is valid in the written order only
     rows = np.array([[[0.5, 2.5], [2.5, 20]], [[0.5, 0.6], [20, 20]]])
     with SYMBOLIC:
         said = conditions_at(diagram, start, {label: rows}, len(rows), verify(diagram, start=start))

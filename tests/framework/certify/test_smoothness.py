@@ -1,4 +1,4 @@
-"""What may enter V and a trajectory: every fault is seeded into a loop of one line."""
+"""Functions allowed in V and in a trajectory: every fault is seeded into a loop of one line."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def stored(value: Callable[[Any], Any]) -> Diagram:
 
 
 def following(path: Callable[[Any], Any], order: int = 0) -> Diagram:
-    """y follows a path, or a time derivative of it, that is in V."""
+    """y follows a path, or a time derivative of it, that V contains."""
     return scalar_loop(
         "y",
         lambda x, u, p: {"y": -(x.y - u.r)},
@@ -204,7 +204,7 @@ def test_a_rate_that_jumps_is_listed_as_an_assumption() -> None:
 
 
 def kept_in(position: Callable[[Any, Any], Any]) -> Diagram:
-    """A position between -1 and 1 whose rate follows a barrier's reference but for s; z is a state next to it."""
+    """A position between -1 and 1 whose rate is a barrier's reference plus s; z is a further state."""
 
     def barrier(x: Any, u: Any) -> Barrier:
         low, high, speed, rate, width = map(ca.SX, (-1.0, 1.0, 50.0, 3.0, 0.02))

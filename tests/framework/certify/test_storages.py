@@ -1,4 +1,4 @@
-"""Storages that are no squares: springs that give way, and the divergence of matrices; and lies of both."""
+"""Storage functions other than squares: saturating springs, and the divergence of matrices; with false claims."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WIDTH = 0.5
 def pulled(
     force: Any = soft_clip, stored: Any = lambda x, p: Potential(x.y, ca.SX(WIDTH), p.k), of: str = "y z"
 ) -> Diagram:
-    """A mass z on a spring that gives way, and a damper; `force` is the spring's, `stored` its energy."""
+    """A mass z on a saturating spring with a damper; `force` is the spring's, `stored` its energy."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         return Certificate(storage=(stored(x, p), Square(x.z)), dissipation=(Square(x.z),))
@@ -76,7 +76,7 @@ def test_a_force_that_is_not_the_gradient_is_refuted(force: Any) -> None:
     ids=["wrong sign", "no width", "a width that moves", "a weight that moves"],
 )
 def test_a_potential_that_is_not_positive_fails_its_condition(stored: Any, part: str) -> None:
-    # the identity is broken on the way too; what is checked here is that the sign is never believed
+    # the identity is wrong too; this test is about the sign, which is never taken for granted
     diagram = pulled(stored=stored)
     claim = claim_of(diagram)
     checked, _ = conditions_of(claim, Numbers(claim, {}))
@@ -86,7 +86,7 @@ def test_a_potential_that_is_not_positive_fails_its_condition(stored: Any, part:
 
 def test_a_potential_of_what_is_zero_elsewhere_bounds_only_that() -> None:
     lying = verify(pulled(lambda a, v: soft_clip(beyond(a, ca.SX(1)), v)))
-    assert lying.outcome == "refuted"  # y itself is stored, what lies beyond 1 pulls
+    assert lying.outcome == "refuted"  # y itself is stored; the part beyond 1 pulls
     honest = pulled(
         lambda a, v: soft_clip(beyond(a, ca.SX(1)), v),
         lambda x, p: Potential(beyond(x.y, ca.SX(1)), ca.SX(WIDTH), p.k),
@@ -95,7 +95,7 @@ def test_a_potential_of_what_is_zero_elsewhere_bounds_only_that() -> None:
     assert ("y", "goes to zero") not in says(verdict)
 
 
-def test_a_subclass_that_calls_itself_a_potential_is_not_believed() -> None:
+def test_a_subclass_of_a_potential_is_refused() -> None:
     class Sunk(Potential):  # type: ignore[misc]
         @property
         def value(self) -> Any:

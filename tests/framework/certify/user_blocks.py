@@ -1,4 +1,4 @@
-"""Blocks that a user might write, next to the graph that uses them: each with a certificate of its own."""
+"""Blocks as a user might write them, together with the graph that uses them, each with a certificate."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class SaturatedDamping(AbstractBlock):
     beta : diagonal (n,), N m, > 0
         Its bound.
     v : diagonal (n,), rad/s, > 0
-        Where it reaches three quarters of that.
+        Velocity at which it reaches three quarters of that.
     """
 
     inputs = (Input("sigma", "n", "rad/s"),)
@@ -84,7 +84,7 @@ class SaturatedDamping(AbstractBlock):
 
 @final
 class OddDamping(AbstractBlock):
-    """The same, written with tanh(-sigma): true, but only for who knows that tanh is odd.
+    """The same, written with tanh(-sigma): provable only with the fact that tanh is odd.
 
     Parameters
     ----------

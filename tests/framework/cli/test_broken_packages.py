@@ -1,4 +1,4 @@
-"""What the command line says of a package that dmframe needs and that is missing or broken."""
+"""Messages of the command line if a package that dmframe needs is missing or broken."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``dmframe delay``: what to configure in the blocks, or why nothing."""
+"""``dmframe delay``: the delay to configure in the blocks, or the reason why there is none."""
 
 from __future__ import annotations
 

@@ -24,9 +24,9 @@ from dmframe.runtime.ur import UniversalRobot
 from dmframe.virtual import VirtualRobot
 
 LONG = 60.0
-"""How long one side waits for the other where nothing is wrong [s]."""
+"""Time that one side waits for the other without a fault [s]."""
 FAST = 180
-"""The sample about which `ur10_fast` is fastest, 0.335 rad/s."""
+"""The sample near the largest joint speed of `ur10_fast`, 0.335 rad/s."""
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +43,7 @@ def words(host: str, *more: str) -> list[str]:
 
 @pytest.fixture
 def arm(monkeypatch: pytest.MonkeyPatch) -> VirtualRobot:
-    """One in this process, in place of whatever is at an address."""
+    """A robot in this process, instead of one at an address."""
     held = robot(series="cb3")
     monkeypatch.setattr(robots, "UniversalRobot", partial(UniversalRobot, linked=Line(held)))
     return held
@@ -55,7 +55,7 @@ def signals(*names: str) -> list[np.ndarray]:
 
 
 def off_the_run() -> float:
-    """How far a drive's tool was from that of the simulation [m]."""
+    """Largest distance of a drive's tool from that of the simulation [m]."""
     x, missed, t = signals("arm.x", "robot.missed", "time")
     assert not missed.any()
     np.testing.assert_allclose(np.diff(t), 0.008, rtol=1e-9)  # no sample twice
@@ -89,7 +89,7 @@ def test_it_follows_the_run_and_its_log_is_played_again_identically(dmframe: Any
 
 @contextmanager
 def until(held: VirtualRobot, sample: int) -> Iterator[subprocess.Popen[str]]:
-    """A process that drives the robot, in step with it, until a sample."""
+    """A process that drives the robot, synchronised with it, until a sample."""
     host = own_host()
     held.listen(host)
     command = [sys.executable, "-m", "dmframe", *words(host, "--patience", f"{LONG} s")]
@@ -113,7 +113,7 @@ def until(held: VirtualRobot, sample: int) -> Iterator[subprocess.Popen[str]]:
 
 
 def last_heartbeat(held: VirtualRobot) -> float:
-    """When the robot had a heartbeat last [s]."""
+    """Time of the robot's last heartbeat [s]."""
     return held.registers.written["input_int_register_24"] * held.dt
 
 

@@ -1,4 +1,4 @@
-"""A bad call: status 2, one line a fault on standard error, nothing on standard output."""
+"""A wrong call: status 2, one line for each fault on standard error, nothing on standard output."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def test_a_certificate_that_ends_the_program_proves_nothing(dmframe: Any, tmp_pa
 
 
 def test_a_file_that_cannot_be_read_is_named(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Root may read everything, so that the system is made to refuse."""
+    """Root can read everything, so a system call is replaced to refuse."""
 
     def refuse(path: object, *_: Any, **__: Any) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", str(path))

@@ -1,4 +1,4 @@
-"""What ``--set`` says of several graphs and several values; what a shell and an editor complete."""
+"""``--set`` with several graphs and several values; completion in a shell and an editor."""
 
 from __future__ import annotations
 

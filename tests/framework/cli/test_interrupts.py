@@ -1,4 +1,4 @@
-"""An interrupt that comes while expressions are made is not lost, whichever library clears it."""
+"""An interrupt during the construction of expressions is not lost, whichever library clears it."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from dmframe.common.interrupts import Insistent
 
 
 def interrupted() -> None:
-    """As Ctrl-C would."""
+    """Interrupt as Ctrl-C does."""
     signal.raise_signal(signal.SIGINT)
 
 
 def cleared() -> None:
-    """One that somebody clears."""
+    """An interrupt that is cleared."""
     with suppress(KeyboardInterrupt):
         interrupted()
 
 
 def goes_on() -> None:
-    """Work after one that was cleared."""
+    """Work after an interrupt that was cleared."""
     cleared()
     while True:
         pass
 
 
 class Odd:
-    """An operand that is interrupted as CasADi inspects it."""
+    """An operand that is interrupted while CasADi inspects it."""
 
     def __SX__(self) -> ca.SX:
         interrupted()

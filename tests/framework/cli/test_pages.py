@@ -269,7 +269,7 @@ def test_blocks_lists_every_type(dmframe: Any) -> None:
 
 @pytest.fixture
 def page_of(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """`dmframe blocks kind` in so many columns: several tests read a page, which is made once."""
+    """`dmframe blocks kind` in so many columns: computed once for several tests that read a page."""
 
     def made(kind: str, columns: int = 80) -> Any:
         if (kind, columns) not in PRINTED:
@@ -299,7 +299,7 @@ def test_a_page_keeps_to_the_terminal_and_breaks_no_norm(kind: str, columns: int
     shown = ["".join(letter for letter in line if not unicodedata.combining(letter)) for line in lines]
     law = shown[: shown.index("inputs")]
     assert all(len(line) <= columns for line in law)
-    if columns == 120:  # in 80 some norms are too long for one line
+    if columns == 120:  # in 80 columns some norms are too long for one line
         assert all(line.count("|") % 2 == 0 for line in law)
 
 

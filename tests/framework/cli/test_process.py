@@ -23,14 +23,14 @@ QUICK = (
     "content.linear_view = lambda *_: LinearView('Not looked at.')\n"
     "content.measure = lambda *_: Measured('Not measured.')\n"
 )
-"""Before a report that is only to be there: it leaves out its longest sections."""
+"""Runs before a report whose content is not tested: it omits its longest sections."""
 LONG = ("run", "pendulum", "--until", "2000 s", "--no-plots", "--out", "mine")
 FILES = {"graph.yaml", "provenance.json", "seal.json", "signals.nc", "summary.json"}
 
 
 @pytest.fixture(autouse=True)
 def listening() -> Iterator[None]:
-    """Processes that a shell starts in the background, and their children, are deaf to signals of the terminal."""
+    """Processes that a shell starts in the background, and their children, ignore signals of the terminal."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler), signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
     for number, handler in zip((signal.SIGINT, signal.SIGHUP), before, strict=True):
@@ -188,7 +188,7 @@ def test_no_signal_breaks_the_writing_of_results(tmp_path: Path) -> None:
 
 
 def interrupted_while_running(words: Sequence[str], cwd: Path, number: int = signal.SIGINT) -> tuple[int, str, str]:
-    """Ctrl-C as soon as the first progress is made: the process says so on a pipe, so that no clock is needed."""
+    """Ctrl-C at the first progress, which the process reports on a pipe, so no clock is needed."""
     received, sent = os.pipe()
     hook = (
         "import os, dmframe.simulate.run as run\n"

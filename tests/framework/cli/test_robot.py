@@ -1,4 +1,4 @@
-"""``dmframe robot``: what it prints, what it refuses, and how it ends."""
+"""``dmframe robot``: its output, its errors, and its end."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def strict(text: str) -> Any:
 
 
 def names_of(figure: object, name: str, about: str, formats: Sequence[str]) -> dict[str, bytes]:
-    """The files of a figure where names alone are looked at."""
+    """The files of a figure if only names matter."""
     return {f"{name}.{ending}": b"" for ending in formats}
 
 

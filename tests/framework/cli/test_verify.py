@@ -1,4 +1,4 @@
-"""``dmframe verify`` at the command line; what it computes has tests of its own."""
+"""``dmframe verify`` at the command line; its computations have their own tests."""
 
 from __future__ import annotations
 

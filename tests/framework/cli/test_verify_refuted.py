@@ -1,4 +1,4 @@
-"""``dmframe verify`` of a graph whose block lies: status, words, and a point that anybody can look at."""
+"""``dmframe verify`` of a graph with a false block: status, text, and an exact point that can be checked."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_the_same_seed_gives_the_same_primes_and_the_same_point(dmframe: Any, li
     first, again, other = (
         json.loads(dmframe("verify", liar, "--json", "--seed", seed).out) for seed in ("5", "5", "6")
     )
-    for data in (first, again, other):  # the two entries that say when and how long
+    for data in (first, again, other):  # the two entries with the time and the duration
         del data["time"], data["proved_at"]
     assert first == again
     assert first["refutation"]["point"] != other["refutation"]["point"]

@@ -1,4 +1,4 @@
-"""Closed loops as WebAssembly: against CasADi, the interpreter, and C that fuses nothing, to the last bit."""
+"""Closed loops as WebAssembly: compared with CasADi, the interpreter, and C without fused operations, bit by bit."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ class InWasm:
 
     def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
         period, substeps, kept = self.step.period, self.step.substeps, self.kept.astype(np.int32)
-        kept = np.append(kept, np.zeros(kept.size % 2, np.int32))  # what follows begins at a multiple of 8
+        kept = np.append(kept, np.zeros(kept.size % 2, np.int32))  # the following data begin at a multiple of 8
         given = self.step.instants.rows(first, max(1, ticks))
         numbers = (state, np.array(p, float), period, substeps, first, ticks, given, self.every, kept, self.kept.size)
         return int(self.loaded("run", *numbers, rows, self.step.bounds))
 
 
 def compiled(source: str, folder: Path) -> Any:
-    """C in which no product is fused into a sum; with -march=native gcc 12's vectoriser fuses some all the same."""
+    """C without fused multiply-add; with -march=native gcc 12's vectoriser still fuses some products."""
     (folder / "f.c").write_text(source, encoding="utf-8")
     flags = ("-std=gnu11", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
     subprocess.run([str(GCC), *flags, "f.c", "-o", "f.so", "-lm"], cwd=folder, check=True)
@@ -79,7 +79,7 @@ POINTS: Final = ((0.375, 0.75), (-0.375, 0.75), (1.75, -2.25), (2.5, 2.5), (0.0,
 
 
 def function(code: int) -> Any:
-    """One operation of two inputs; the second is read anyway."""
+    """One operation of two inputs; the second is read in any case."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     if code == ca.OP_CONSTPOW:
         return ca.Function("f", [x, y], [x**2.5])
@@ -115,7 +115,7 @@ def test_each_rule_gives_what_casadi_gives() -> None:
 
 
 def another(code: int) -> int:
-    """The next operation with as many operands; no power, of which there are two that are one."""
+    """The next operation with as many operands; not a power, of which there are two equal ones."""
     alike = [k for k in CODES if OPERATIONS[k].arity == OPERATIONS[code].arity and k != ca.OP_CONSTPOW]
     return next((k for k in alike if k > code), alike[0])
 
@@ -246,11 +246,11 @@ def test_a_graph_gives_the_very_bits_of_c_that_fuses_nothing(name: str, tmp_path
 
 def test_a_module_is_small() -> None:
     prepared, *_ = prepared_graph("ur10_fast", 0.2)
-    assert 5_000 < len(loop_module(prepared.step.parts)) < 25_000  # the boxes on all estimates take some 6500 of it
+    assert 5_000 < len(loop_module(prepared.step.parts)) < 25_000  # the boxes on all estimates take about 6500 of it
 
 
 class Law(AbstractBlock):
-    """v = -2 y_m - i, i+ = i + T y_m: in sampled time."""
+    """v = -2 y_m - i, i+ = i + T y_m: in discrete time."""
 
     inputs = (Input("y_m"), PERIOD)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -295,12 +295,12 @@ def test_a_sampled_state_drawn_inputs_and_jitter_run_as_interpreted(cart: Any) -
     assert difference(one, other, cart[0]) < 1e-13
 
 
-# of ticks: the first, how many
+# of samples: the first, their number
 PORTIONS: Final = ((0, 40), (4, 7), (5, 1), (6, 0), (2**31 - 50, 9))
 
 
 def portions(engine: Any, start: np.ndarray, p: np.ndarray) -> list[Any]:
-    """Of each portion of ticks: how many were done, the state that they led to, and the rows that were written."""
+    """For each portion of samples: how many were done, the resulting state, and the written rows."""
     found = list[Any]()
     for first, ticks in PORTIONS:
         state, rows = start.copy(), np.full((16, engine.kept.size), 7.0)

@@ -1,4 +1,4 @@
-"""The key `baseline`: what a graph is to be compared with."""
+"""The key `baseline`: the graph to be compared with."""
 
 from __future__ import annotations
 

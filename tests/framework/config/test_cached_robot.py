@@ -1,4 +1,4 @@
-"""Chains of robots that are kept by everything that they were made from."""
+"""The cache of robots' chains, with all their inputs as the key."""
 
 from __future__ import annotations
 

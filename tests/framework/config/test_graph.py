@@ -1,4 +1,4 @@
-"""A graph from its file: what it reads, what `--set` changes, and blocks that come from elsewhere."""
+"""A graph from its file: its content, changes by `--set`, and blocks from other places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The key ``reality``: what it puts into a graph, what it leaves out, and what is wrong with one."""
+"""The key ``reality``: the blocks that it adds and omits, and its faults."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ UR = ("transport_delay", "command_limits", "command_ramp", "torque_limits", "joi
 
 
 def added(graph: dm.Graph) -> dict[str, Any]:
-    """The blocks that stand between controller and robot."""
+    """The blocks between controller and robot."""
     held = graph.blocks
     return {name: held[name] for name in held if any(port.instead_of or port.notice for port in held[name].outputs)}
 

@@ -1,4 +1,4 @@
-"""Old names in graph files: read as the new ones, with one notice that says where and what to write."""
+"""Old names in graph files: read as the new ones, with one notice that contains the place and the new name."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,15 +15,22 @@ import dmframe as dm
 from dmframe.cli.app import app
 from dmframe.common.errors import DmframeError, UnknownNameError
 from dmframe.design import design as module
+from dmframe.design.checks import rehearsed
+from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, Ranking, worth
+from dmframe.design.designed import Designed
 from dmframe.design.family import HELD_OUT, TRAINING, makers
-from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of
+from dmframe.design.handover import set_aside
+from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of, tool_motion
 from dmframe.design.motion import TRAINING as TRAINED
+from dmframe.design.progress import STAGES, Progress
 from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
 from dmframe.graph.first import FirstGraph, first_graph
 from dmframe.race.plan import Run
+from dmframe.race.protocol import Choice, Tried
 from dmframe.race.read import load_race
+from dmframe.robot.library import load
 
 
 @pytest.fixture(scope="module")
@@ -111,14 +119,94 @@ def test_a_law_that_diverges_in_one_cell_is_no_candidate() -> None:
     assert [item.law for item in swapped.ordered(adaptive=False)] == ["b", "c"]
 
 
-def test_a_task_that_is_missing_is_a_blocked_design_with_a_report(tmp_path: Path) -> None:
-    found = CliRunner().invoke(app, ["design", "ur5e", "--task", "pose", "--out", str(tmp_path / "d"), "--json"])
+def test_a_task_that_the_arm_cannot_do_is_a_blocked_design_with_a_report(tmp_path: Path) -> None:
+    found = CliRunner().invoke(app, ["design", "so101", "--task", "pose", "--out", str(tmp_path / "d"), "--json"])
     summary = json.loads(found.stdout)
     assert summary["outcome"] == "blocked"
-    assert (summary["graph"], summary["error"], summary["rival_error"], summary["unit"]) == (None, None, None, "mrad")
-    assert "--task pose" in summary["reason"]
-    assert "no controller for ur5e" in Path(summary["report"]).read_text()
+    assert (summary["graph"], summary["error"], summary["rival_error"], summary["unit"]) == (None, None, None, "mm")
+    assert "at least 6 joints" in summary["reason"]
+    assert "no controller for so101" in Path(summary["report"]).read_text()
     assert found.return_value == 1 or found.exit_code in (0, 1)
+
+
+def path_of_the_tool(folder: Path, *rows: str) -> Path:
+    (folder / "path.csv").write_text("t,x,y,z\n" + "".join(f"{row}\n" for row in rows))
+    return folder / "path.csv"
+
+
+def test_a_path_out_of_reach_is_a_blocked_design_and_an_unreadable_one_an_error(tmp_path: Path) -> None:
+    far = path_of_the_tool(tmp_path, "0,3,0,1", "1,3,0.1,1", "2,3,0.2,1")
+    found = module.design(Request.of("ur3e", path=str(far)), tmp_path / "far")
+    assert (found.outcome, "out of reach" in found.reason) == ("blocked", True)
+    with pytest.raises(DmframeError, match="found joints"):
+        module.design(Request.of("ur3e", path=str(far), task="joints"), tmp_path / "far")
+    with pytest.raises(DmframeError, match="no orientation"):
+        module.design(Request.of("ur3e", path=str(far), task="pose"), tmp_path / "far")
+    far.write_text("nothing")
+    with pytest.raises(DmframeError, match="column t"):
+        module.design(Request.of("ur3e", path=str(far)), tmp_path / "far")
+    for key in ("path", "log"):
+        with pytest.raises(DmframeError, match=f"{key}: expected a file, found none"):
+            Request.of("ur3e", **{key: str(tmp_path / "none.csv")})
+
+
+def test_the_race_of_a_tool_path_compares_the_error_of_the_tool(first: FirstGraph, tmp_path: Path) -> None:
+    (tmp_path / FIRST).write_text(first.text)
+    motion = tool_motion(first, load("so101"), turns=False)
+    (tmp_path / "race.yaml").write_text(race_text(first, makers(first, 0.1, motion.seconds), motion, 0.008))
+    race = load_race(tmp_path / "race.yaml")
+    assert (race.file.unit, race.file.duration) == ("mm", 48.0)
+    graph = race.graph(Run("feedback", race.held_out[0], race.laws["feedback", 0.008].own, 1))
+    assert graph.diagram.loop.goal is not None
+    assert (graph.diagram.loop.goal.desired, graph.diagram.loop.goal.actual) == ("path.x_d", "arm.x")
+
+
+def test_both_kinds_of_laws_have_the_same_number_of_tried_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    laws = {"a": candidate("a", [1.0], adaptive=True), "s": candidate("s", [2.0])}
+    tried = [Tried((("x", float(k)),), float(k), "" if k != 2 else "diverges") for k in range(6)]
+    contest = Contest.__new__(Contest)
+    contest.ranking = Ranking(list(laws.values()), "mrad")
+    contest._workers = None
+    race = SimpleNamespace(held_out=["cell"], file=SimpleNamespace(seed=0))
+    choices = [Choice(law, 0.008, tuple(tried)) for law in laws]
+    contest._finished = SimpleNamespace(choices=choices, race=race, folder=Path())  # type: ignore[assignment]
+    monkeypatch.setattr("dmframe.design.contest.Kept", lambda folder: None)
+    monkeypatch.setattr("dmframe.design.contest.computed", lambda race, runs, kept, workers: dict.fromkeys(runs, 3.0))
+    for adaptive, law in ((True, "a"), (False, "s")):
+        found = list(contest.candidates(adaptive=adaptive))
+        assert [item.law for item in found] == [law] * 3
+        assert [dict(item.values) for item in found[1:]] == [{"x": 1.0}, {"x": 3.0}]
+        assert {item.adaptive for item in found} == {adaptive}
+
+
+def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path: Path) -> None:
+    assert set_aside(tmp_path, "new") == []
+    (tmp_path / "graph.yaml").write_text("edited")
+    (tmp_path / "controller").mkdir()
+    (tmp_path / "page.html").write_text("page")
+    assert set_aside(tmp_path, "edited") == []
+    assert set_aside(tmp_path, "new")[0][0] == "before/1/graph.yaml"
+    assert not (tmp_path / "graph.yaml").exists()
+    assert not (tmp_path / "controller").exists()
+    assert (tmp_path / "before" / "1" / "page.html").read_text() == "page"
+    (tmp_path / "graph.yaml").write_text("again")
+    assert set_aside(tmp_path, None)[0][0] == "before/2/graph.yaml"
+    assert (tmp_path / "before" / "1" / "graph.yaml").read_text() == "edited"
+
+
+def test_the_rest_is_estimated_from_what_was_done_since_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, said = [0.0], list[str]()
+    monkeypatch.setattr("dmframe.design.progress.time.monotonic", lambda: now[0])
+    progress = Progress(said.append)
+    progress.say("robot", "reading")
+    assert said == ["reading"]
+    now[0] = float(STAGES["robot"] + STAGES["tuning"])
+    progress.say("comparison", "comparing")
+    left = sum(STAGES.values()) - now[0]
+    assert said[-1] == f"comparing; about {left / 60:.0f} min left in all"
+    progress.keep("comparison")  # by an earlier command, at once
+    progress.say("proof", "proving")
+    assert said[-1] == f"proving; about {(left - STAGES['comparison']) / 60:.0f} min left in all"
 
 
 def test_a_robot_that_is_no_arm_is_blocked_and_an_unknown_one_is_an_error(tmp_path: Path) -> None:
@@ -160,12 +248,12 @@ class Rehearsing:
 def test_a_simple_law_that_diverges_in_a_rehearsal_is_not_handed_over(
     errors: tuple[float | None, ...], passed: bool, text: str, tmp_path: Path
 ) -> None:
-    found = module.Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
-    check = module._rehearsed(Rehearsing(*errors), candidate("level", [1.0]), found)  # type: ignore[arg-type]
+    found = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    check = rehearsed(Rehearsing(*errors), candidate("level", [1.0]), found, Progress(lambda text: None))  # type: ignore[arg-type]
     assert check.passed is passed
     assert text in check.text
     adaptive = candidate("experts", [1.0], adaptive=True)
-    assert not module._rehearsed(Rehearsing(*errors), adaptive, found).passed  # type: ignore[arg-type]
+    assert not rehearsed(Rehearsing(*errors), adaptive, found, Progress(lambda text: None)).passed  # type: ignore[arg-type]
 
 
 def test_without_a_compiler_it_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

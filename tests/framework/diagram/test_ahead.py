@@ -34,7 +34,7 @@ class Wave(AbstractBlock):
 
 
 class Deadbeat(AbstractBlock):
-    """Puts an integrator on y_d at the next sample; outputs what it saw."""
+    """Commands an integrator to y_d at the next sample; outputs its input."""
 
     inputs = (
         Input("y"),
@@ -91,7 +91,7 @@ def test_what_looks_ahead_is_the_sources_signal_at_samples_to_come(engine: Any) 
     run = simulate(loop(), 3.0, clock=T, solver=Solver(step=T), engine=engine)
     t = run.time
     np.testing.assert_allclose(run["law.seen"].ravel(), np.sin(2 * (t + 3 * T)), atol=1e-12)
-    # dead beat: from the first sample on, the plant is where the path then is; a step late it would be 0.14 off
+    # dead beat: from the first sample on, the plant is at the path's position; one sample late it would be 0.14 off
     np.testing.assert_allclose(run["cart.y"].ravel()[1:], np.sin(2 * t[1:]), atol=1e-12)
 
 

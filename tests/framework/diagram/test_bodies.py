@@ -1,4 +1,4 @@
-"""The set of bodies: nearest points, tangent cones and the projection lemma, against NumPy's and SciPy's."""
+"""The set of bodies: nearest points, tangent cones and the projection lemma, compared with NumPy and SciPy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def numbers(expression: Any) -> np.ndarray:
 
 
 def functions() -> Any:
-    """`held`, `law` and `room` of one link, by its nominal body, estimates and their rate."""
+    """`held`, `law` and `room` of one link, as functions of its nominal body, estimates and their rate."""
     nominal, state, rate = (ca.SX.sym(name, 10) for name in ("nominal", "state", "rate"))
     bodies = Bodies(nominal, ca.SX(SHARE))
     outputs = [bodies.held(state), bodies.law(state, rate), bodies.room(state)]
@@ -56,7 +56,7 @@ def symmetric(rng: np.random.Generator) -> np.ndarray:
 
 
 def body(rng: np.random.Generator) -> np.ndarray:
-    """A pseudo-inertia with a fair range of eigenvalues, as links have."""
+    """A pseudo-inertia with a typical range of eigenvalues."""
     turned, _ = np.linalg.qr(rng.normal(size=(4, 4)))
     return np.asarray(turned * [0.02, 0.1, 0.5, 8] @ turned.T)
 

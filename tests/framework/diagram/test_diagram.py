@@ -1,4 +1,4 @@
-"""Wiring, sizes, access, derived derivatives, loops: what a diagram checks and derives."""
+"""Wiring, sizes, access, derived derivatives, loops: the checks and derivations of a diagram."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Wave(AbstractBlock):
 
 
 class Law(AbstractBlock):
-    """v_c = dy_d - k (y - y_d), with its derivative of the derivative shown."""
+    """v_c = dy_d - k (y - y_d), with its second derivative as an output."""
 
     inputs = (
         Input("y", "", "m"),
@@ -60,7 +60,7 @@ class Law(AbstractBlock):
 
 
 class Watch(AbstractBlock):
-    """Shows the derivative of v_c, and the derivative of that."""
+    """Outputs the derivative of v_c, and its second derivative."""
 
     inputs = (
         Input("v_c", "", "m/s"),
@@ -93,7 +93,7 @@ class Cart(AbstractBlock):
 
 
 class OddCart(Cart):
-    """A cart that may count its way, and reads the count whether it counts or not."""
+    """A cart with an optional output of its distance, which it reads in either case."""
 
     states = (*Cart.states, State("way", "", "m", optional=True))
     counts: bool = False

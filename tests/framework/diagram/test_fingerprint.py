@@ -1,4 +1,4 @@
-"""The fingerprint of a closed loop: the same for what is the same loop, another for any other."""
+"""The fingerprint of a closed loop: equal for equal loops, and different for all others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dmframe.simulate import simulate
 
 
 class Decay(AbstractBlock):
-    """dy = -c y^k, with a constant and a structure that the test chooses."""
+    """dy = -c y^k, with a constant and a structure chosen by the test."""
 
     states = (State("y"),)
     rate: Scalar = Positive(default=1.0)
@@ -115,7 +115,7 @@ def test_what_was_proved_is_what_ran(tmp_path: Path) -> None:
 
 
 class Fickle(AbstractBlock):
-    """Its equations depend on how often they were evaluated."""
+    """Its equations depend on the number of evaluations."""
 
     states = (State("y"), State("z", optional=True))
     outputs = (Output("out"),)

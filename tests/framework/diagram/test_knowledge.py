@@ -1,4 +1,4 @@
-"""Which true numbers a controller's equations hold, by every way on which a block can come by them."""
+"""True numbers in a controller's equations, for every way by which a block can obtain them."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_any_one_inertial_number_is_found_as_a_symbol_and_as_a_number(seed: int)
 
 
 def test_axes_that_leave_no_symbol_are_known_all_the_same() -> None:
-    """Adapted lengths, all of them: what is left is how the axes point."""
+    """Adapted lengths, all of them: only the directions of the axes remain."""
     found = of("theorem_1")
     assert found["geometry"].groups == ("axes",)
     assert "robot.rotations" not in {p.label for p in Graph.read("theorem_1").diagram.loop.parameters}

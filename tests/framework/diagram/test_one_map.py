@@ -1,4 +1,4 @@
-"""One owner of the map of a sample: each consumer follows a change of it, and its hash covers every field of it."""
+"""One owner of the map of a sample: each user of it follows a change, and its hash covers every field of it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def symbol(name: str, size: int = 1) -> ca.SX:
 
 
 def every_kind(*, bodies: bool) -> ClosedLoop:
-    """Two loops that hold between them an instance of each class of which a loop may be made."""
+    """Two loops that together contain an instance of each class of a loop."""
     t, period, x, z, w, a = symbol("t"), symbol("T"), symbol("x"), symbol("z", 2), symbol("w"), symbol("a", 10)
     k, box, v, y, n = symbol("k"), symbol("box", 2), symbol("v"), symbol("y"), symbol("n")
     corrections = [symbol("c_1"), symbol("c_2", 2), symbol("c_3", 10)]
@@ -97,7 +97,7 @@ def every_kind(*, bodies: bool) -> ClosedLoop:
 
 
 def parts(item: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
-    """Each object in an object, with the fields and places that lead to it."""
+    """Each object in an object, with the path of fields to it."""
     yield way, item
     if is_dataclass(item):
         for field in fields(item):
@@ -118,7 +118,7 @@ def put(item: Any, way: tuple[Any, ...], value: Any) -> Any:
 
 
 def otherwise(value: Any) -> Any:
-    """A value of the same kind that is another one."""
+    """Another value of the same kind."""
     match value:
         case ca.SX():
             symbolic = all(element.is_symbolic() for element in ca.vertsplit(ca.vec(value)))
@@ -168,7 +168,7 @@ def test_the_order_of_states_and_an_unknown_kind_of_field_are_not_passed_over() 
 
 
 class Slow(AbstractBlock):
-    """a' = y, and what a linear second term makes of its step on a clock; v = -a - k y."""
+    """a' = y, and the effect of a linear second term on its step in discrete time; v = -a - k y."""
 
     inputs = (Input("y"),)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -224,7 +224,7 @@ def test_an_analysis_is_of_the_map_that_runs_second_terms_included(second: float
 
 def test_second_terms_that_make_a_loop_unstable_are_seen() -> None:
     radii = [float(np.max(np.abs(np.linalg.eigvals(by_hand(T, second))))) for second in (0.5, 300.0)]
-    assert radii[0] < 1 < radii[1]  # so that the test above holds both ways
+    assert radii[0] < 1 < radii[1]  # so that the test above is not trivial
 
 
 class Halved(AbstractBlock):
@@ -351,7 +351,7 @@ def test_each_consumer_follows_the_model_or_refuses(consumer: str, field: str) -
     experiment, diagram = arm2()
     other = changed(diagram, field)
     assert other.fingerprint != diagram.fingerprint
-    assert not differ(before(consumer), CONSUMERS[consumer](experiment, diagram))  # it is no chance
+    assert not differ(before(consumer), CONSUMERS[consumer](experiment, diagram))  # deterministic, not by chance
     try:
         found = CONSUMERS[consumer](experiment, other)
     except DmframeError:

@@ -1,4 +1,4 @@
-"""The linearly implicit method: its conditions of order, its linear systems, and what of the Jacobian they hold."""
+"""The linearly implicit method: its order conditions, its linear systems, and its approximate Jacobian."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PRINTED = Fraction(1, 10**15)
 
 
 def residuals(method: Rosenbrock) -> Iterator[Fraction]:
-    """Of the conditions of order 3 for any A and d, Hairer and Wanner, section IV.7, theorem 7.7."""
+    """Order conditions up to 3 for any A and d, Hairer and Wanner, section IV.7, theorem 7.7."""
     stages, b = range(method.stages), method.weights
     zeros = [Fraction(0)] * method.stages
     alpha = [[*row, *zeros[i:]] for i, row in enumerate(method.points)]
@@ -72,7 +72,7 @@ def test_it_is_stiffly_accurate_and_stable_on_the_whole_left_half_plane() -> Non
         return float(abs(1 + z * b @ np.linalg.solve(np.eye(size) - z * both, np.ones(size))))
 
     assert max(growth(1j * y) for y in np.geomspace(1e-3, 1e6, 300)) <= 1 + 1e-12
-    assert growth(-1e8) < 1e-7  # L-stable: what is infinitely stiff is gone after one step
+    assert growth(-1e8) < 1e-7  # L-stable: an infinitely stiff component is zero after one step
 
 
 def test_the_form_without_products_is_the_form_of_the_definition() -> None:
@@ -110,7 +110,7 @@ def test_a_sparse_system_is_solved_as_lapack_solves_it(seed: int) -> None:
 def test_the_pivots_fill_as_little_as_they_can() -> None:
     size = 9
     pattern = np.eye(size, dtype=bool)
-    pattern[0, :] = pattern[:, 0] = True  # eliminated in this order, it fills; from the other end it does not
+    pattern[0, :] = pattern[:, 0] = True  # eliminated in this order, it fills in; from the other end it does not
     matrix = ca.SX.sym("A", ca.sparsify(ca.DM(pattern.astype(float))).sparsity())
     assert len(Elimination.of(matrix).factors) == 3 * size - 2
 

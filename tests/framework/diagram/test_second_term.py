@@ -1,4 +1,4 @@
-"""The step on a clock that a block states besides its rate: it runs, and no proof in continuous time sees it."""
+"""The discrete-time step that a block states in addition to its rate: used by runs, absent in continuous time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def falling(second: bool = True, side: Side = Side.CONTROLLER, sampled: bool = F
 
     @final
     class Falling(AbstractBlock):
-        """What the arguments say."""
+        """Step as given by the arguments."""
 
         outputs = (Output("seen"),)
         states: ClassVar[tuple[State, ...]]
@@ -50,7 +50,7 @@ def test_a_step_on_a_clock_takes_the_second_term_and_the_proof_stays_as_it_is() 
     exact = 1 / np.sqrt(1 + 2 * T * np.arange(11))
     assert np.max(np.abs(found[True] - exact)) < np.max(np.abs(found[False] - exact)) / 5
     assert verify(falling()).outcome == "proved"
-    assert falling(True).fingerprint != falling(False).fingerprint  # what runs is another map
+    assert falling(True).fingerprint != falling(False).fingerprint  # a run uses another map
 
 
 @pytest.mark.parametrize("wrong", [{"side": Side.PLANT}, {"sampled": True}, {"name": "y"}])

@@ -1,4 +1,4 @@
-"""Outputs that replace a signal on its way between controller and plant."""
+"""Outputs that replace a signal between controller and plant."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def wired(wires: dict[str, str] | None = None, **blocks: AbstractBlock) -> dict[
 PLAIN = {"law.y": "cart.y", "cart.v": "law.v", "watch.y": "cart.y"}
 
 
-def test_without_one_all_is_as_it_was() -> None:
+def test_without_one_all_signals_are_unchanged() -> None:
     assert wired() == PLAIN
 
 
@@ -151,7 +151,7 @@ def test_what_a_block_declares_of_it_has_to_fit(members: dict[str, Any], text: s
 
 
 class Late(AbstractBlock):
-    """v_late = v, of one sample before."""
+    """v_late = v of the previous sample."""
 
     side = PLANT
     inputs = (Input("v"),)

@@ -1,4 +1,4 @@
-"""A source that states a signal and its derivative: checked against each other, and one leaf."""
+"""A source that states a signal and its derivative: compared with each other, and one independent variable."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Both(AbstractBlock):
 
 @final
 class Track(AbstractBlock):
-    """Follows."""
+    """Tracks it."""
 
     inputs = (Input("r", ""), Input("dr", "", "1/s", derivative_of="r"))
     states = (State("x", ""),)
@@ -44,7 +44,7 @@ class Track(AbstractBlock):
 
 @final
 class Two(AbstractBlock):
-    """A path, and another signal by the name of its derivative."""
+    """A path, and another signal with the name of its derivative."""
 
     side = Side.SOURCE
     inputs = (TIME,)

@@ -1,4 +1,4 @@
-"""Whose truth a proof reads: one owner a name, along wires where a diagram has several."""
+"""The owner of each true value in a proof: one per name, or by the wires of a diagram with several."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Needs(AbstractBlock):
 
 
 class States(AbstractBlock):
-    """Its certificate states a true value of a name that the test chooses."""
+    """Its certificate states a true value with a name chosen by the test."""
 
     inputs = (Input("y"),)
     outputs = (Output("z"),)
@@ -70,7 +70,7 @@ class States(AbstractBlock):
 
 
 class Reads(AbstractBlock):
-    """Stores what it reads of b, so that a test sees whose b it was."""
+    """Stores its input of b, so that a test can identify the source of b."""
 
     inputs = (Input("z"),)
     truth = (Input("b"),)
@@ -84,7 +84,7 @@ class Reads(AbstractBlock):
 
 
 def pairs(order: Sequence[str], k: Mapping[str, float]) -> Diagram:
-    """Two loops of a store and a block that needs its k, in any order in the file."""
+    """Two loops of a store and a block that needs its k, in any order of the file."""
     blocks = {name: Store(k=k[name]) if name.startswith("store") else Needs() for name in order}
     wires = {f"needs{i}.y": f"store{i}.y" for i in (1, 2)} | {f"store{i}.v": f"needs{i}.v" for i in (1, 2)}
     return Diagram.build(blocks, wires)

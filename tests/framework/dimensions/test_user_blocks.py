@@ -1,6 +1,6 @@
-"""Units of equations, on a user's own blocks: right ones pass, each wrong one is named where it stands.
+"""Units of equations in a user's blocks: correct ones pass, and each wrong one is located.
 
-What is right is known from mechanics: of K q + D dq + I ddq = tau each term is a torque.
+The correct units are known from mechanics: each term of K q + D dq + I ddq = tau is a torque.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ BASES = ("kg", "m", "s", "rad")
 
 
 def spring_energy(u: Any, x: Any, p: Any) -> Certificate:
-    """I dq^2 + K q^2 over two, which the damper takes away from."""
+    """(I dq^2 + K q^2)/2, dissipated by the damper."""
     return Certificate(storage=(Square(x.dq, p.I), Square(x.q, p.K)), dissipation=(Square(x.dq, p.D),))
 
 
@@ -49,7 +49,7 @@ def test_a_gain_in_a_wrong_unit_is_named_with_the_right_one_and_nothing_is_prove
 @pytest.mark.parametrize("name", ["K", "D", "I"])
 def test_each_wrong_exponent_of_a_gain_is_found(name: str, base: str) -> None:
     found = faults(joint(**{name: f"{UNITS[name]} {base}" if "/" not in UNITS[name] else f"{base} {UNITS[name]}"}))
-    # of an inertia, which is written with kg, the power of rad is not known
+    # of an inertia, whose unit contains kg, the power of rad is undetermined
     assert bool(found) is ((name, base) != ("I", "rad"))
 
 

@@ -1,4 +1,4 @@
-"""Blocks of a user, with units right and wrong, alone in a diagram."""
+"""Blocks of a user, with correct and wrong units, alone in a diagram."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def joint(
     conditions: Callable[[Any], Any] | None = None,
     **units: str,
 ) -> Diagram:
-    """Joints on springs and dampers, K q + D dq + I ddq = 0, with a torque; other equations and units where given."""
+    """Joints with springs and dampers, K q + D dq + I ddq = 0, with a torque; other equations and units as given."""
     own = {**UNITS, **units}
     numbers = {name: Positive("n", unit, default=1.0) for name, unit in own.items()}
     stated = rates or (lambda u, x, p: {"q": x.dq, "dq": -(p.K * x.q + p.D * x.dq) / p.I})
@@ -48,5 +48,5 @@ def joint(
 
 
 def faults(diagram: Diagram) -> list[str]:
-    """The texts of what disagrees."""
+    """The messages about inconsistent units."""
     return [fault.text for fault in diagram.unit_faults]

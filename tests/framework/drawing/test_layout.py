@@ -46,7 +46,7 @@ def laid_out(seed: int):
 
 
 def overlap(one, other):
-    """The length that two pieces have in common, where they lie on one line."""
+    """The common length of two collinear pieces."""
     ((a, b), (c, d)), ((e, f), (g, h)) = one, other
     if b == d == f == h:
         return min(max(a, c), max(e, g)) - max(min(a, c), min(e, g))

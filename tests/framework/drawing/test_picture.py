@@ -58,7 +58,7 @@ def test_derived_inputs_are_marked_and_the_wall_is_named(diagram):
     assert texts(root, "small").count("d/dt") == len(texts(root, "small")) > 0
     (wall,) = [item for item in root.iter(f"{SVG}line") if item.get("class") == "wall"]
     (closed,) = [item for item in root.iter(f"{SVG}text") if item.text == "closed architecture"]
-    assert closed.get("text-anchor") is None  # it begins right of the wall, on the robot's side
+    assert closed.get("text-anchor") is None  # it begins right of the boundary, on the robot's side
     assert float(closed.get("x")) > float(wall.get("x1"))
 
 

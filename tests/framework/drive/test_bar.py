@@ -166,7 +166,7 @@ GOOD = Measured("e", "m", 0.01, 0.0021, 0.002, 0.2, "")
     ("rms", "still", "rival", "message"),
     [
         (0.002, 0.2, GOOD, ""),
-        (0.0021, 0.2, GOOD, ""),  # what the rival itself changes from one quarter to the next
+        (0.0021, 0.2, GOOD, ""),  # the variation of the rival itself between quarters
         (0.00211, 0.2, GOOD, "the error of the rival is 2 mm"),
         (0.002, 0.0039, GOOD, "the error of a stationary robot is 3.9 mm; at most half of it is allowed"),
         (0.002, 0.0, GOOD, "the error of a stationary robot is 0 m"),
@@ -201,7 +201,7 @@ def test_the_rival_is_the_kinematic_law_by_hand() -> None:
     graph = dm.load("ur10_fast")
     law, _ = law_of(graph)
     assert law is not None
-    assert law.gain == 1.0  # the graph's own, 0.8 J J', is less
+    assert law.gain == 1.0  # the graph's own, 0.8 J J', is smaller
     rival, q = Rival(law, 3, 0.008), np.array([1.4, -1.0, 1.0])
     x = law.shown(q)[0].full().ravel()
     assert rival.step(Sample(0.0, q, np.zeros(3), x=x), 0.3, 1.0)

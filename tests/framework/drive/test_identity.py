@@ -1,4 +1,4 @@
-"""Whatever can alter a command after a passed rehearsal closes the way to a robot, and is named."""
+"""Any change that can alter a command after a passed rehearsal is named, and prevents a drive."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_what_was_rehearsed_is_driven_and_nothing_before_it(bench: Bench) -> Non
         bench.drive()
     assert records.store(bench.rehearse())
     assert bench.drive().recording.time.size == 51
-    assert bench.drive(bench.graph().until(0.04)).recording.time.size == 21  # for a shorter time, too
+    assert bench.drive(bench.graph().until(0.04)).recording.time.size == 21  # for a shorter duration too
 
 
 SETTINGS: dict[str, tuple[Any, str]] = {

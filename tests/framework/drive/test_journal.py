@@ -1,4 +1,4 @@
-"""A drive writes its samples to the disk while it lasts: memory stays bounded, and who is killed loses a moment."""
+"""A drive writes its samples to the disk while it runs: memory is bounded, and a killed drive loses a few samples."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GRAPH = dm.load("arm2_joint")
 
 
 class ScaledController:
-    """As much of one as a journal reads."""
+    """The part of a diagram that a journal reads."""
 
     def __init__(self) -> None:
         self.command, self.states = np.zeros(2), {"task.z": np.zeros(3)}
@@ -212,7 +212,7 @@ def test_the_loop_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest
     assert len(journal.rows()) == 4 * BLOCK
 
 
-def test_what_waits_for_a_disk_that_stands_stops_the_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_that_wait_for_a_blocked_disk_stop_the_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dmframe.runtime import journal as module
 
     monkeypatch.setattr(module, "MOST_PENDING", 1000)
@@ -254,7 +254,7 @@ def test_a_drive_that_is_killed_leaves_all_but_its_last_second(tmp_path: Path) -
         lasted = time.monotonic() - seen
     _, columns = read_samples(path)
     gained = len(columns["time"]) - first
-    assert gained > first * (lasted - 1.0) / (seen - begun) / 4  # as fast as before, but for the last second
+    assert gained > first * (lasted - 1.0) / (seen - begun) / 4  # as fast as before, except in the last second
     assert {item.name for item in (tmp_path / "log").iterdir()} == {"samples.bin"}
     found = GRAPH.replay(tmp_path / "log")
     assert found.identical

@@ -1,4 +1,4 @@
-"""Files of limits: what they may say, and every fault at its place."""
+"""Files of limits: their keys, and every fault with its place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a drive leaves is what a run leaves, and what a record is played again with."""
+"""The record of a drive has the form of a run's record, and can be replayed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_its_signals_are_those_of_the_run_bit_by_bit() -> None:
         assert found[label].tobytes() == np.ascontiguousarray(run[label]).tobytes(), label
     for label in ("arm.q", "arm.dq", "servo.q_c"):
         assert found[label].tobytes() == np.ascontiguousarray(run[label]).tobytes(), label
-    assert not any(label in found.outputs for label in ("servo.u", "arm.ddq", "arm.g"))  # no robot measures them
+    assert not any(label in found.outputs for label in ("servo.u", "arm.ddq", "arm.g"))  # not measured by robots
     error, other = drive().error, Run(graph(), run).error
     assert error is not None
     assert other is not None
@@ -173,7 +173,7 @@ def test_a_damaged_record_is_reported(tmp_path: Path) -> None:
     content = (tmp_path / "whole" / "signals.nc").read_bytes()
     file = tmp_path / "signals.nc"
     damaged = [content[: len(content) // share] for share in (2, 10, 100)]
-    # in the names of the signals: HDF5 finds the checksum wrong
+    # in the names of the signals: HDF5 detects a wrong checksum
     place = content.index(b"inverse.dq_c")
     damaged.append(content[:place] + b"#" + content[place + 1 :])
     for held in damaged:

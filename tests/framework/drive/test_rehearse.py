@@ -1,4 +1,4 @@
-"""A rehearsal decides whether a controller may drive a robot; a real one requires it."""
+"""A rehearsal decides whether a controller may drive a robot; a real drive requires it."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_steps_of_the_longest_tick_are_as_short_as_those_of_the_clocks() -> None
 
 
 def test_a_jitter_does_not_make_the_integrator_diverge_where_the_loop_does_not() -> None:
-    # its steps are near the limit of what rk4 bears of this robot, and those of the longest tick would pass it
+    # its steps are close to the stability limit of rk4 for this robot, which those of the longest sample would exceed
     found = tried(dm.load("panda_full"), 4.0, Condition("a jitter of 2 ms", {"jitter": 0.002}))
     assert found.passed
     ideal, jittered = (item.error for item in found.outcomes)

@@ -1,4 +1,4 @@
-"""One flipped bit of any file of a folder of results is reported by whatever reads it."""
+"""One flipped bit in any file of a folder of results is reported by each reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The driver by ur_rtde: with a stand-in for the package, and with the package where it is installed."""
+"""The driver by ur_rtde: with a test double of the package, and with the package if it is installed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dmframe.drive.robots import Options, kind_of
 from dmframe.runtime.ur_rtde import CALLS, UrRtde
 
 LIMIT = 120.0
-"""Of a client [s]; it needs some seconds."""
+"""Time limit of a client [s]; it needs some seconds."""
 INSTALLED = importlib.util.find_spec("rtde_control") is not None
 needs_ur_rtde = pytest.mark.skipif(not INSTALLED, reason="needs ur_rtde: python -m pip install ur_rtde")
 
@@ -182,7 +182,7 @@ def test_without_the_package_one_line_states_how_to_get_it(monkeypatch: pytest.M
 
 
 def client(host: str, first: str = "") -> list[str]:
-    """A process that drives by the package itself; nothing keeps real time but the arm's own watchdog."""
+    """A process that drives through the package; only the arm's watchdog depends on real time."""
     Path("arm.yaml").write_text("dmframe-limits: 1\nacceleration: 15 rad/s^2\nlost: 1000\n")
     words = ["drive", "ur10_fast", "--robot", f"ur_rtde:{host}", "--limits", "arm.yaml", "--out", "log", "--no-plots"]
     words += ["--without-a-passed-rehearsal", "--patience", "20 s", "--seconds"]
@@ -190,7 +190,7 @@ def client(host: str, first: str = "") -> list[str]:
 
 
 SLOW = "from dmframe.runtime import ur_rtde; ur_rtde.PATIENCE = 100"
-"""A watchdog that is late, as this machine is."""
+"""A delayed watchdog, as on this machine."""
 NONE = "import rtde_control; rtde_control.RTDEControlInterface.setWatchdog = lambda *_: True"
 
 
@@ -214,7 +214,7 @@ def test_the_package_itself_drives_the_virtual_robot(tmp_path: Path, monkeypatch
 
 @needs_ur_rtde
 @pytest.mark.parametrize("watched", [True, False])
-def test_when_its_process_is_killed_the_watchdog_stops_the_arm_and_nothing_else_would(
+def test_when_its_process_is_killed_only_the_watchdog_stops_the_arm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, watched: bool
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -228,7 +228,7 @@ def test_when_its_process_is_killed_the_watchdog_stops_the_arm_and_nothing_else_
         killed = held.time
         held.advance(200)  # 1.6 s
         if watched:
-            assert trace.rest(killed) < 1.2  # 0.8 s of its patience
+            assert trace.rest(killed) < 1.2  # 0.8 s of its timeout
             assert any(
                 "watchdog: input_int_register_0 was not written for 100 cycles" in text for text in held.messages
             )

@@ -1,4 +1,4 @@
-"""`ur:HOST` drives the virtual robot, whose clock waits for it: what it does, and how each fault ends."""
+"""`ur:HOST` drives the virtual robot, whose clock waits for it: its motion, and its end after each fault."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from dmframe.virtual import VirtualRobot
 pytestmark = pytest.mark.usefixtures("without_v")
 
 SOON = 0.1
-"""Within this an arm rests after a fault [s]."""
+"""Time within which an arm stops after a fault [s]."""
 FAST = 180
-"""The sample about which `ur10_fast` is fastest, 0.335 rad/s."""
+"""The sample near the largest joint speed of `ur10_fast`, 0.335 rad/s."""
 
 
 @dataclass
 class Setting:
-    """A robot, what leads to it, and who drives it."""
+    """A robot, its connection, and its driver."""
 
     held: VirtualRobot
     line: Line
@@ -54,7 +54,7 @@ def driver(line: Line, name: str = "ur10_fast", **changed: Any) -> UniversalRobo
 def drive(
     at: Setting, happens: Callable[[Setting], str | None] = lambda _: None, tick: int = FAST, ticks: int = 250
 ) -> tuple[DriveResult, float]:
-    """Drive; at a sample something happens. How it ended, and when that was by the robot's clock."""
+    """Drive; at a sample an action is executed. Returns how the drive ended, and when by the robot's clock."""
     count, when = [0], [0.0]
 
     def stop_requested() -> str:
@@ -151,7 +151,7 @@ def test_after_a_fault_the_arm_soon_rests_and_both_sides_name_the_reason(name: s
     assert str(found.stop) == ours
     assert any(theirs in text for text in at.held.messages)
     assert at.trace.rest(when) < SOON
-    assert len(found.journal["sent"]) >= FAST - 1  # what was done until then is there
+    assert len(found.journal["sent"]) >= FAST - 1  # the samples until then are stored
 
 
 def never_silent(at: Setting) -> None:
@@ -186,12 +186,12 @@ def test_what_is_not_a_number_is_not_sent_and_the_arm_soon_rests(where: str, mon
     found, when = drive(at, broken)
     message = "command not finite: [nan" if where == "command" else "not finite: invalid sample: x = [nan"
     assert str(found.stop).startswith(message)
-    assert at.held.safety.ready  # the robot has seen nothing of it
+    assert at.held.safety.ready  # the robot did not receive it
     assert at.trace.rest(when) < SOON
 
 
 def spoilt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on the controller commands what is not a number."""
+    """From now on the controller outputs NaN."""
     step = ScaledController.step
 
     def nan(self: ScaledController, *given: Any) -> bool:
@@ -218,7 +218,7 @@ def test_a_stop_that_is_requested_is_as_gentle_as_the_limits_require() -> None:
     found, when = drive(at, lambda _: "SIGTERM")
     assert str(found.stop) == "requested: SIGTERM"
     slowed = -np.diff(at.trace.commanded) / at.held.dt
-    assert np.max(slowed) == pytest.approx(2.0)  # not the 40 rad/s^2 with which it follows
+    assert np.max(slowed) == pytest.approx(2.0)  # not the 40 rad/s^2 with which it tracks
     assert at.trace.rest(when) == pytest.approx(0.335 / 2, abs=0.03)
 
 
@@ -236,7 +236,7 @@ def test_what_a_killed_client_has_left_in_registers_moves_nothing() -> None:
     assert max(at.trace.commanded[begun:]) > 0.1
     at.line.cut = False
     at.driver = driver(at.line)
-    again, _ = drive(at, tick=0, ticks=20)  # from the way to the start on
+    again, _ = drive(at, tick=0, ticks=20)  # from the motion to the start on
     assert again.stop is None
 
 
@@ -250,7 +250,7 @@ def test_lost_samples_are_counted_and_the_clock_is_the_robots() -> None:
     assert missed == lost > 5
     taken = np.round(found.journal["time"] / 0.008).astype(int)
     assert taken[-1] == 250
-    assert np.max(np.abs(x_of(found) - run["arm.x"][taken])) < 5e-3  # a command was held for two samples here and there
+    assert np.max(np.abs(x_of(found) - run["arm.x"][taken])) < 5e-3  # some commands were held for two samples
 
 
 def test_a_speed_slider_keeps_the_path() -> None:
@@ -276,7 +276,7 @@ def test_a_second_client_is_refused_and_the_first_goes_on() -> None:
     def another(at: Setting) -> None:
         with pytest.raises(DriveError, match="writes input_int_register_24 and 8 more of the registers"):
             driven(graph("ur10_fast"), driver(at.line), 5, engine="auto")
-        assert len(at.line.others) == 1  # it has let go
+        assert len(at.line.others) == 1  # it has stopped the control
 
     found, _ = drive(at, another)
     alone, _ = drive(setting())
@@ -323,7 +323,7 @@ def test_an_arm_whose_cycle_does_not_divide_the_graphs_clock_is_refused() -> Non
     at.driver = driver(at.line, clock="10 ms")
     with pytest.raises(DriveError, match="ur:arm: expected samples 10 ms apart, the graph's clock, found 8 ms"):
         driven(wrong, at.driver, 5)
-    assert at.line.others == []  # and let go
+    assert at.line.others == []  # and stopped the control
     finer = setting(series="e")
     finer.driver = driver(finer.line, clock="10 ms")
     assert driven(wrong, finer.driver, 20).stop is None

@@ -1,4 +1,4 @@
-"""Ball arithmetic against mpmath, SciPy and exact fractions, and seeded faults that these catch."""
+"""Ball arithmetic compared with mpmath, SciPy and exact fractions, with seeded faults."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def fraction(value: arb) -> Fraction:
 
 
 def holds(found: arb, value: Any) -> bool:
-    """`value` is a fraction, or mpmath's, of more bits than the ball has."""
+    """`value` is a fraction, or a number of mpmath with more bits than the ball."""
     with ctx.workprec(4000):
         if isinstance(value, Fraction):
             return fmpq(value.numerator, value.denominator) in found
@@ -76,7 +76,7 @@ def test_functions_hold_what_mpmath_states_and_nothing_where_it_is_not_real(name
                 values(e, ball(at))
             return
         if name in ("sin", "cos", "tan") and at > 1e90:
-            return  # the ball of 1e99 is as wide as a turn
+            return  # the ball of 1e99 is as wide as a period
         (found,) = values(e, ball(at))
         assert holds(found, reference)
         assert found.rad() <= WIDTH * max(abs(reference), 1)
@@ -182,7 +182,7 @@ def test_a_number_that_is_invalid_is_refused_and_so_is_a_function_that_is_not_wr
     with pytest.raises(UndecidedError, match="a number is not finite"):
         values(x, arb.nan())
     inner = ca.Function("inner", [x], [x * x], {"never_inline": True})
-    for e in (inner(x), ca.erfinv(x)):  # CasADi's own erfinv is off by 4e-8
+    for e in (inner(x), ca.erfinv(x)):  # CasADi's erfinv has an error of 4e-8
         with pytest.raises(UndecidedError, match=r"CasADi's instruction \d+ has no enclosure rule"):
             values(e, arb(0.5))
 
@@ -210,7 +210,7 @@ def test_the_precision_of_others_is_left_as_it_was_and_theirs_makes_no_result_wr
         other = threading.Thread(target=lambda: found.extend(values(ca.exp(x), ball(0.3))))
         other.start()
         other.join(0.05)
-        assert not found  # it waits for its turn
+        assert not found  # it waits for the lock
     other.join()
     assert ctx.prec == before
     coarse = arb(fmpq(3, 10)).exp()  # of 53 bits
@@ -241,11 +241,11 @@ def test_the_transition_of_a_held_system_is_mpmaths_to_fifty_digits(time: float)
         for matrix, mp in zip(found, (wanted, mpmath.inverse(exact) * (wanted - mpmath.eye(5))), strict=True):
             assert all(holds(matrix[i, j], mp[i, j]) for i, j in np.ndindex(5, 5))
             assert np.max(radii(matrix)) < 1e-50
-            assert not any(holds(matrix[i, j].mid(), mp[i, j]) for i, j in np.ndindex(5, 5))  # a forgotten radius
+            assert not any(holds(matrix[i, j].mid(), mp[i, j]) for i, j in np.ndindex(5, 5))  # an omitted radius
     np.testing.assert_allclose(middles(found[0]), scipy.linalg.expm(A * time), atol=1e-12)
 
 
-def test_a_transition_keeps_its_zeros_and_that_of_nothing_is_nothing() -> None:
+def test_a_transition_keeps_its_zeros_and_an_empty_one_is_empty() -> None:
     A = np.diag([-1.0, -2.0, -3.0]) + np.diag([1.0, 0.0], 1)
     for matrix in transition(exactly(A), ball(0.1)):
         zeros = {(i, j) for i, j in np.ndindex(3, 3) if matrix[i, j].is_zero()}

@@ -1,4 +1,4 @@
-"""Enclosures against exact rational arithmetic and against mpmath, and seeded faults that these catch."""
+"""Enclosures compared with exact rational arithmetic and with mpmath, with seeded faults."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ def test_a_square_encloses_the_exact_one_and_is_never_negative(a: float, wide: f
 
 
 def outside(low: float, high: float, x: float) -> list[str]:
-    """Which of sine and cosine at x lies outside the enclosure of the angles from `low` to `high`."""
+    """Whether sine and cosine of x are outside the enclosure of the angles from `low` to `high`."""
     return beyond(Enclosure(np.asarray(low), np.asarray(high)).sin_cos(), x)
 
 
 def beyond(found: Sequence[Enclosure], x: float, place: Any = ()) -> list[str]:
-    """Which of sine and cosine at x lies outside the enclosures at a place of their arrays."""
+    """Whether sine and cosine of x are outside the enclosures at a place of their arrays."""
     with mpmath.workprec(200):
         exact = (mpmath.sin(mpmath.mpf(x)), mpmath.cos(mpmath.mpf(x)))
         pairs = zip(("sin", "cos"), found, exact, strict=True)
@@ -148,7 +148,7 @@ def test_an_operation_without_an_enclosure_is_refused() -> None:
 
 
 def inward() -> list[str]:
-    """What the checks above find over many angles."""
+    """Result of the checks above for many angles."""
     angles = np.linspace(-20, 20, 997)
     found = Enclosure(angles, angles).sin_cos()
     return [name for place, x in enumerate(angles) for name in beyond(found, float(x), place)]

@@ -1,4 +1,4 @@
-"""What is recomputed after a change is what a full evaluation gives, number by number."""
+"""Recomputation after a change equals a full evaluation, number by number."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_after_a_change_it_is_what_a_full_evaluation_gives(name: str, moved: tup
         else:
             evaluation = Evaluation(tape, point, trial, range(3))
             found.append((first, tape.outputs_of(evaluation.changed(others), trial)))
-            assert evaluation.outputs == first  # which stays as it is
+            assert evaluation.outputs == first  # which is unchanged
     assert found[0] == found[1]
     assert found[0][0] != found[0][1]
 

@@ -10,7 +10,7 @@ from dmframe.exact import MERSENNE_127, Tape, ZeroTest, zero_test
 from dmframe.exact.sizes import degrees
 
 x, y, z = (ca.SX.sym(name) for name in "xyz")
-# Sums of angles enter as arguments: CasADi itself simplifies sin(x)^2 + cos(x)^2 and what else it recognises.
+# Arguments are sums of angles, since CasADi itself simplifies sin(x)^2 + cos(x)^2 and similar expressions.
 c_x, s_x, c_y, s_y = ca.cos(x), ca.sin(x), ca.cos(y), ca.sin(y)
 
 IDENTITIES = {

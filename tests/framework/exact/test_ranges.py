@@ -1,4 +1,4 @@
-"""Ranges over intervals against values at many points, and the two ways of which each finds what the other loses."""
+"""Ranges over intervals compared with values at many points, and the two methods, each sharper in some cases."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_range_has_every_value(name: str, width: float) -> None:
 
 def test_ends_are_sharp_and_terms_that_cancel_lose_nothing() -> None:
     (root,) = over(ca.sqrt(x), between(0, 0.3))
-    assert root.lower == 0  # a ball of this interval has numbers below zero
+    assert root.lower == 0  # a ball of this interval contains negative numbers
     wide = ca.sqrt(1e32 + x * x) - 1e16
     (difference,) = over(wide, between(1, 2))
     assert 0 < difference.lower < Fraction(1, 10**16) < difference.upper < Fraction(3, 10**16)

@@ -1,4 +1,4 @@
-"""Degrees and sizes of coefficients, compared with SymPy's of the same fractions, written out and not reduced."""
+"""Degrees and sizes of coefficients, compared with SymPy's for the same fractions, expanded and not reduced."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Quotient:
     """A numerator and a denominator, polynomials that are expanded and never reduced."""
 
     def __init__(self, numerator: Any, denominator: Any = 1) -> None:
-        import sympy  # where it is needed: it takes a second to import, and each worker collects every test
+        import sympy  # imported here: it takes a second, and each worker collects every test
 
         self.numerator, self.denominator = sympy.expand(numerator), sympy.expand(denominator)
 
@@ -90,7 +90,7 @@ class Quotients:
 
 
 def exceeds(polynomial: Any, degree: int, height: int) -> bool:
-    """True where a polynomial has a higher degree, or larger coefficients, than the bound says."""
+    """True if a polynomial has a higher degree, or larger coefficients, than its bound."""
     import sympy
 
     if polynomial == 0:
@@ -100,7 +100,7 @@ def exceeds(polynomial: Any, degree: int, height: int) -> bool:
 
 
 def held(true: Sequence[Any], said: Sequence[Any]) -> int:
-    """How many numbers were compared; each bound has to hold."""
+    """Number of comparisons; each bound has to hold."""
     import sympy
 
     pairs = [(one, other) for one, other in zip(true, said, strict=True) if isinstance(other, Size)]

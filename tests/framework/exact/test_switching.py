@@ -1,4 +1,4 @@
-"""Enclosures of functions that switch, against what CasADi computes at points of the interval."""
+"""Enclosures of switching functions, compared with CasADi's values at points of the interval."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_what_is_continuous_where_it_switches_has_a_narrow_range_there_and_a_jum
     assert found.upper[0] - found.lower[0] < 1e-7
     assert jumps.tolist() == [True, False]
     (wide,) = f(inputs)[0]
-    assert wide.upper[0] - wide.lower[0] > 0.9  # what the pieces are for
+    assert wide.upper[0] - wide.lower[0] > 0.9  # the reason for the pieces
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Directional derivatives in the field are those that CasADi writes, operation by operation and in whole programs."""
+"""Directional derivatives in the field equal CasADi's, operation by operation and in whole programs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WRITTEN: Final[Mapping[str, Callable[..., Any]]] = {
     "or": ca.logic_or,
     "if_else_zero": lambda x, y: ca.if_else(x, y, 0),
 }
-"""Operations that are no function of CasADi's module."""
+"""Operations that are not functions of CasADi's module."""
 
 X, Y, DX, DY = (ca.SX.sym(name) for name in ("x", "y", "dx", "dy"))
 

@@ -1,4 +1,4 @@
-"""The exported C against the simulation, under compilers that complain."""
+"""The exported C compared with the simulation, with strict compiler warnings."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_sanitizers_find_nothing(name: str, main: str) -> None:
 
 @cache
 def controller_object() -> str:
-    """Path of the compiled controller, without the program that replays it."""
+    """Path of the compiled controller, without the replay program."""
     out = Path(mkdtemp(prefix="compiled-")) / "ur10_fast.o"
     words = [str(GCC), *STRICT, *PLAIN, "-c", "ur10_fast.c", "-o", str(out)]
     subprocess.run(words, cwd=exported("ur10_fast"), check=True)

@@ -1,4 +1,4 @@
-"""What a compiler makes of an exported law, compared sample by sample from equal states."""
+"""A compiled exported law compared sample by sample from equal states."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_a_law_that_amplifies_rounding_is_exported(tmp_path: Path) -> None:
     loaded.export(tmp_path / "out")
     states = np.array([float.fromhex(word) for word in _array(tmp_path / "out", "state")])
     assert states.size == SAMPLES + 1
-    # the chain of the C and that of the interpreter have no digit in common in the end, so that no replay could agree
+    # the results of C and interpreter have no common digit in the end, so no replay could agree
     controller = loaded.controller(engine="interpreted")
     run = loaded.run(SAMPLES * 0.01, progress=False).recording
     apart = []
@@ -130,7 +130,7 @@ def test_where_rounding_decides_a_switch_both_sides_are_right_and_the_readme_nam
     assert "Rounding decides a switch at sample" in read_me
     assert "from the same state: law.v" in read_me
     assert replayed(tmp_path / "out", *PLAIN).returncode == 0
-    # without a compiler the reference is the interpreter's, whose sines are another library's
+    # without a compiler the reference is the interpreter, whose sines come from another library
     monkeypatch.setattr("dmframe.export.replay.find_compiler", lambda: None)
     loaded.export(tmp_path / "interpreted")
     done = replayed(tmp_path / "interpreted", *PLAIN)

@@ -1,4 +1,4 @@
-"""What modelDescription.xml says of names, whatever they look like."""
+"""Names in modelDescription.xml, for names with any characters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exported units under FMPy, and against the simulation."""
+"""The exported units in FMPy, compared with the simulation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PLAIN = ("-ffp-contract=off", "-fno-tree-vectorize")
 Kind = Literal["fmi2", "fmi3"]
 KINDS: tuple[Kind, ...] = ("fmi2", "fmi3")
 NAME = "joint_tracking_pi"
-"""For what holds of the units of any graph."""
+"""For properties of the units of any graph."""
 
 
 @cache
@@ -88,7 +88,7 @@ class Unit:
 
 
 def coupled(name: str, kind: Kind, ticks: int, start: dict[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
-    """Controller first, then the robot with its commands; what was seen at each sample."""
+    """Controller first, then the robot with its commands; the signals at each sample."""
     controller, robot = (Unit(file, kind) for file in exported(name, kind))
     T = dm.load(name).clock
     assert T is not None
@@ -112,7 +112,7 @@ def coupled(name: str, kind: Kind, ticks: int, start: dict[str, np.ndarray] | No
             recorded.setdefault(label, []).append(controller.get(label))
             robot.set(label, recorded[label][-1])
         robot.step(t, T)
-        t += T  # as masters do: a unit counts samples, and is not led astray by the rounding of sums
+        t += T  # as masters do: a unit counts samples, so the rounding of sums has no effect
     return {label: np.array(rows) for label, rows in recorded.items()}
 
 

@@ -1,4 +1,4 @@
-"""Exports of hostile names: what is written compiles and parses, or is refused with a clear error."""
+"""Exports with hostile names: the output compiles and parses, or is refused with a clear error."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ KINDS = ("measured", "commanded", "states", "parameters")
 
 
 def labelled(labels: list[str], name: str = "law", kinds: tuple[str, ...] = KINDS) -> Program:
-    """The program with these labels for its members of these kinds, as far as they go."""
+    """The program with these labels for its members of these kinds, as many as there are."""
 
     def renamed(items: tuple[Member, ...]) -> tuple[Member, ...]:
         given = [*labels, *[item.label for item in items]][: len(items)]
@@ -154,7 +154,7 @@ def test_labels_of_signals_states_and_parameters(tmp_path: Path) -> None:
 
 
 def package(found: Program, joints: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Write a package of a program, for joints of these names, without its C; check its XML and YAML."""
+    """Write a package of a program, for joints with these names, without its C; check its XML and YAML."""
     graph = copy.copy(loaded())
     monkeypatch.setattr(ros2, "program_of", lambda *_: found)
     texts = {**dict.fromkeys((f"{found.name}.c", "replay.c", "samples.h"), ""), f"{found.name}.h": c.header(found)}

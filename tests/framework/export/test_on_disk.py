@@ -1,4 +1,4 @@
-"""An export has its name only when all of its files are on the disk; one that is killed leaves none of them."""
+"""An export gets its name when all files are on the disk; a killed one leaves none of them."""
 
 from __future__ import annotations
 

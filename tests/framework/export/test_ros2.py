@@ -1,7 +1,7 @@
-"""The exported controller of ros2_control under a manager in small, against stand-ins of ROS 2 that hold no code of it.
+"""The exported controller of ros2_control in a small manager, with stand-ins of ROS 2 that share no code with it.
 
 ``ROS2_CONTROL`` may name a checkout of ros2_control with fmt's headers next to it in ``fmt``: then the controller is
-compiled against its real headers and bases, and only what lies below them is a stand-in.
+compiled against its real headers and base classes, and only the layer below them is replaced.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ STRICT = (
     "-Werror",
 )
 NAME, SAMPLES, T = "ur10_fast", 1000, 0.008
-PATH = 9  # x_d, its rate and the rate of that
+PATH = 9  # x_d, its first and second derivative
 FULL = ("interfaces.target=target",)
 
 
@@ -90,7 +90,7 @@ def manager(real: str) -> Path:
 
 
 class Answer:
-    """What the manager printed."""
+    """The manager's output."""
 
     def __init__(self, done: subprocess.CompletedProcess[str], states: int) -> None:
         lines = done.stdout.splitlines()
@@ -114,7 +114,7 @@ def answered(rows: np.ndarray, *words: str, rate: int = 125, real: str = "") -> 
 
 @cache
 def run() -> tuple[np.ndarray, np.ndarray]:
-    """Measurements and commands of a robot in a simulation."""
+    """Measurements and commands of a simulated robot."""
     found = dm.load(NAME).run(SAMPLES * T, engine="interpreted", progress=False).recording
     measured = np.hstack([found[label][:SAMPLES] for label in ("arm.q", "arm.dq", "servo.q_c")])
     return measured, found["inverse.dq_c"][:SAMPLES]
@@ -130,7 +130,7 @@ def test_it_commands_what_a_simulation_does_over_1000_updates_and_allocates_no_m
     measured, commanded = run()
     found = answered(rows_of(measured), *FULL)
     assert found.results == [0] * SAMPLES
-    # only where the tool is comes from another expression: of the lengths, and not of the plant's parameters
+    # only the tool position comes from another expression: of the lengths, not of the plant's parameters
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-12)
     assert found.allocations == [0] * SAMPLES
     assert found.last == [0.0] * 3
@@ -152,7 +152,7 @@ def test_without_a_target_it_takes_what_it_has_commanded() -> None:
     measured, commanded = run()
     found = answered(rows_of(measured[:, :6]))
     assert "the measured start plus the integral of the commands" in found.said
-    # this servo's target starts where the arm does
+    # this servo's target starts at the arm's position
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-r"""A docstring that states another law than the code: twenty ways, each reported with its line."""
+r"""A docstring with another law than the code: twenty kinds of difference, each reported with its line."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ _count = itertools.count()
 
 @pytest.fixture
 def faults(tmp_path):
-    """The faults of a block whose docstring has one thing exchanged for another."""
+    """The faults of a block whose docstring has one replacement."""
 
     def found_in(old="", new="", law=LAW):
         assert old in law
@@ -282,7 +282,7 @@ def test_a_docstring_is_checked_against_the_block_of_the_graph_and_far_away(tmp_
     path.write_text(LIAR.replace("DOC", doc).replace("FIELD", field).replace("CODE", code))
     values = {"label": "hi"} if field else {}
     diagram = Diagram.build({"liar": find_block("liar.py:Liar", tmp_path)(k=2.0, **values)})
-    if "None" in field:  # an option that no variant has: what is stated for the defaults is not held with it
+    if "None" in field:  # an option that no variant has: statements for the defaults are not compared with it
         assert any(
             "no equation for it is what liar computes" in text for text in check_docstrings(read_blocks(diagram))
         )

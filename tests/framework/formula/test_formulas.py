@@ -1,4 +1,4 @@
-"""Expressions of the code as a reader writes them, in three dialects."""
+"""Expressions of the code as a reader would write them, in three dialects."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_pieces_in_latex_are_subscripts_and_count_from_one():
 
 
 def test_a_derivative_is_that_of_what_its_named_parts_represent():
-    """Of a = q^2, a' q / 2 has the gradient 3 q^2 / 2, and prints by the name."""
+    """For a = q^2, a' q / 2 has the gradient 3 q^2 / 2, and is printed with the name."""
     q, made = column("q", 1), Naming(lambda name, shape: ca.MX.sym(name, *shape), {})
     with reading(made):
         slope = derivative(named("a", q * q).T @ q / 2, q)
@@ -129,7 +129,7 @@ def test_a_long_formula_is_broken_before_a_sign_outside_of_all_brackets(wide):
 
 def test_accents_take_no_place_of_a_line():
     assert wrapped("ẏ + q̈ + b̂̇", 9) == ["ẏ + q̈ + b̂̇"]
-    assert wrapped("½ |w − 1/K_⋆|²", 9) == ["½", "|w", "− 1/K_⋆|²"]  # nothing else is left
+    assert wrapped("½ |w − 1/K_⋆|²", 9) == ["½", "|w", "− 1/K_⋆|²"]  # no other term remains
 
 
 def test_what_has_no_sign_is_refused():

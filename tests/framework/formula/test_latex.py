@@ -1,4 +1,4 @@
-"""LaTeX read as numbers: shapes decide what stands side by side."""
+"""LaTeX read as numbers: the shapes determine the meaning of adjacent symbols."""
 
 from __future__ import annotations
 

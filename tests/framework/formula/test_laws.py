@@ -1,4 +1,4 @@
-"""The laws of blocks, printed from the code that runs, against the paper's; and what would print another law."""
+"""The laws of blocks, printed from the code, compared with the paper's; and faults that would print another law."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_every_symbol_of_an_options_law_is_defined_and_none_by_itself(name):
 
 
 def check_symbols(law, given):
-    """Read off the trees: no packaged block leaves an expression out, and no two things of a law share a name."""
+    """From the trees: no packaged block omits an expression, and two objects of a law have different names."""
     known = given | {line.name for line in law.lines}
     defined = {sign for sign, _ in where(law.lines)}
     for line in law.lines:
@@ -101,7 +101,7 @@ def test_an_option_that_needs_another_one_is_shown_with_it():
 
 
 def test_what_prints_as_a_word_takes_the_parameters_that_it_states():
-    """Known places: mass and first moments of each link; the tool's translation comes last."""
+    """Known places: mass and first moments of each link; the tool's translation is last."""
     a = ca.DM(range(20))
     assert [float(x) for x in heavy(a).nonzeros()] == [0, 1, 2, 3, 10, 11, 12, 13]
     assert [float(x) for x in heavy(a.T).nonzeros()] == [0, 1, 2, 3, 10, 11, 12, 13]
@@ -186,7 +186,7 @@ def test_an_input_without_a_source_does_not_print():
 
 @final
 class Spring(AbstractBlock):
-    """A block of a user; what its methods do differs from test to test."""
+    """A block of a user; its methods differ between tests."""
 
     side = Side.PLANT
     outputs = (Output("f", "n", "N"),)
@@ -238,7 +238,7 @@ def knows_the_proof_by_counting():
 
 @pytest.mark.parametrize("vector", [knows_the_proof_by_its_names, knows_the_proof_by_counting()])
 def test_a_certificate_that_is_another_one_for_the_proof_is_no_claim(vector):
-    """It stores v as it prints, and q, which would be proved, when the proof evaluates it."""
+    """It stores v when it prints, and q, which would be proved, when the proof evaluates it."""
     claim_of(spring(lambda x, p: -p.k * x.q, lambda x, p: x.q))
     with pytest.raises(NotApplicableError, match=r"spring: test_laws\.py:\d+: Square 1 of its storage differs"):
         claim_of(spring(lambda x, p: -p.k * x.q, lambda x, p: vector(x)))
@@ -283,7 +283,7 @@ def test_an_invalid_name_is_refused_with_file_and_line(give, said):
 
 @final
 class Far(AbstractBlock):
-    """Prints one law, and runs another where x is large."""
+    """Prints one law, and runs another for large x."""
 
     side: ClassVar = Side.PLANT
     states = (State("x", ""),)
@@ -295,7 +295,7 @@ class Far(AbstractBlock):
 
 @final
 class FarTwice(AbstractBlock):
-    """Gives one name to two things that are the same where x is small."""
+    """Gives one name to two expressions that are equal for small x."""
 
     states = (State("x", ""),)
 
@@ -314,7 +314,7 @@ def test_a_difference_that_lives_far_away_is_seen(block):
 
 
 def test_where_floats_are_no_witnesses_more_digits_are():
-    """At some points of this law a matrix has no inverse but for rounding, and signs are rounding's."""
+    """At some points a matrix of this law is singular up to rounding, and rounding determines signs."""
     assert law_of_type(SampledInverse, delay=2) is not None
 
 
@@ -332,7 +332,7 @@ def test_digits_are_as_many_as_the_expression_loses():
     x = ca.MX.sym("x", 2)
     lost = ca.Function("lost", [x], [ca.sin(x), ca.inv(ca.vertcat(ca.horzcat(x[0], 1), ca.horzcat(1, 1 / x[0]))) @ x])
     lost_less = ca.Function("less", [x], [(x[0] + 1e25 * x) - 1e25 * x])
-    assert in_balls(lost, [[3, 1]], 1) is None  # no inverse at all: no digits help
+    assert in_balls(lost, [[3, 1]], 1) is None  # singular: no number of digits helps
     assert in_balls(lost_less, [[3, 1]], 0) == pytest.approx(np.full((2, 1), 3), rel=1e-15)
     assert not agree(None, None)
 
@@ -344,7 +344,7 @@ def test_a_quotient_of_zeros_that_the_code_continues_is_no_difference():
 
 @pytest.mark.parametrize("guarded", [ca.SX, ca.MX])
 def test_a_value_at_zero_that_only_one_form_has_is_a_difference(guarded):
-    """A sign, guarded against 0/0 in what runs, or in what prints."""
+    """A sign, guarded against 0/0 in the code that runs, or in the code that prints."""
     diagram = spring(lambda x, p: x.q / size_of(x.q, guarded=isinstance(x.q, guarded)))
     with pytest.raises(BlockError, match="the output f differs"):
         printed(diagram, "spring")

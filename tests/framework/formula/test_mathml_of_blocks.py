@@ -1,4 +1,4 @@
-"""The formulas of all blocks as MathML: those that laws print with each option, and those of their text."""
+"""The formulas of all blocks as MathML: those of the laws with each option, and those of their text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MARKED = re.compile(r"\$([^$]+)\$")
 
 @cache
 def formulas(kind):
-    """Of the printed laws with each option, which `formula/test_laws.py` compares with the code, and of the text."""
+    """Formulas of the printed laws with each option, which `formula/test_laws.py` compares with the code, and text."""
     law = about(kind)
     lines = [line for read, _ in variants(kind) for line in read.law().lines]
     found = [part for line in lines for part in (line.left.latex, f"= {line.right.latex}")]
@@ -46,7 +46,7 @@ def test_every_formula_of_every_block_becomes_mathml(name):
 LOOKS = str.maketrans(
     {"⊤": "T", "^": "ˆ", "~": "˜", "·": "⋅", "¯": "ˉ", "′": "'", "ℱ": "F", "\u2061": None, "\u00a0": None, " ": None}
 )
-"""Signs that differ in look alone, and blanks."""
+"""Signs that differ in appearance only, and blanks."""
 
 
 def signs(math):

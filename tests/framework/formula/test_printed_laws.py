@@ -1,4 +1,4 @@
-"""What the packaged blocks print, and what their docstrings state, is what they compute; a block that lies fails."""
+"""The printed laws and the docstrings of packaged blocks agree with their code; a false block fails."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What `Graph.explain` says is so: each kind of sentence is checked against a graph for which it would be false."""
+"""The text of `Graph.explain` is true: each kind of sentence is tested with a graph for which it would be false."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Plain(AbstractBlock):
 
 
 PROVED = ("pendulum", "ur10_fast", "ur10_slow_kinematic")
-"""Graphs of whose verdict these tests speak; of others, only the claim is needed."""
+"""Graphs whose verdicts these tests use; for others, only the claim is needed."""
 
 
 @cache
@@ -79,7 +79,7 @@ def test_signals_are_listed_with_unit_origin_and_reader() -> None:
     assert "q̇_c [rad/s], commanded by inverse" in said("ur10_fast", "servo")
     model = said("torque_direct_pi", "model")
     assert "q̇ [rad/s] as q̇_ref, measured at arm; and q̈_m [rad/s^2] as q̈_ref, measured at sensor" in model
-    assert "ε [rad^2/(N m s^3)] from adaptation" in said("torque_direct_pi", "inverse")  # its port takes any unit
+    assert "ε [rad^2/(N m s^3)] from adaptation" in said("torque_direct_pi", "inverse")  # its port accepts any unit
 
 
 def test_unconnected_inputs_and_unread_outputs_depend_on_the_graph() -> None:
@@ -184,7 +184,7 @@ def test_the_robot_and_the_clock_are_the_graphs_own() -> None:
 
 
 def test_a_cross_term_without_a_dominating_block_is_reported(tmp_path: Path) -> None:
-    """A tracking loop on a command with an empty certificate, whose dissipation dominates nothing."""
+    """A tracking loop with a command and an empty certificate, whose dissipation dominates no cross term."""
     certificate = "    def certificate(self, u, x, p, truth):\n        return Certificate()\n"
     source = BLOCK.format(doc='"""Sends on."""')
     (tmp_path / "plain.py").write_text(f"from dmframe.block.certificate import Certificate\n{source}\n{certificate}")
@@ -272,7 +272,7 @@ def test_user_blocks_are_described_by_their_ports(tmp_path: Path, doc: str, does
 def test_a_page_keeps_to_the_terminal_and_a_unit_to_its_signal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "60")
     lines = str(explained("torque_indirect_filtered_pi")).splitlines()
-    assert max(len(line) for line in lines if " = " not in line and "|" not in line) <= 60 + 12  # accents take no room
+    assert max(len(line) for line in lines if " = " not in line and "|" not in line) <= 60 + 12  # accents have no width
     assert not [line for line in lines if line.rstrip().endswith(("[N", "[rad/(N", "(N m"))]
 
 

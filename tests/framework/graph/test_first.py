@@ -1,4 +1,4 @@
-"""First graphs of robots: each runs and is proved without an edit, or one sentence says what is missing."""
+"""First graphs of robots: each runs and is proved without an edit, or one sentence names what is missing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def made(tmp_path: Path, name: str, tool: str | None = None, hold: dict[str, flo
 
 
 def chain_file(folder: Path, kinds: str, seed: int) -> Path:
-    """A robot of random proportions: R a revolute joint, P a prismatic one, C one without limits, - without inertia."""
+    """A robot with random proportions: R a revolute joint, P a prismatic one, C without limits, - without inertia."""
     random = np.random.default_rng(seed)
     text, scale = '<robot name="made"><link name="l0"/>', 10.0 ** random.uniform(-1, 1)
     for k, kind in enumerate(kinds.replace("-", ""), 1):

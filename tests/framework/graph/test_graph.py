@@ -1,4 +1,4 @@
-"""The front door: one graph to hold, changed, run, proved, analysed and drawn."""
+"""The public interface: a graph that is changed, run, proved, analysed and drawn."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ def test_a_png_shows_each_block_where_the_svg_has_it(pendulum: dm.Graph, tmp_pat
         x, y, wide = (float(box.get(key, 0)) for key in ("x", "y", "width"))
         row, left, right = (round(scale * value) for value in (y + shift, x + 25, x + wide - 25))
         edge = pixels[row - 2 : row + 3, left:right].min(axis=0)
-        assert (edge < 128).all()  # the line of the box is drawn all along
+        assert (edge < 128).all()  # the line of the box is drawn over the whole time
 
 
 def test_a_saved_graph_loads_again_and_is_not_overwritten(pendulum: dm.Graph, tmp_path: Path) -> None:
@@ -318,7 +318,7 @@ def test_an_unknown_engine_is_refused(pendulum: dm.Graph) -> None:
 def test_a_run_states_that_its_loop_is_unstable_on_its_clock_though_it_stayed_bounded() -> None:
     notices = dm.load("ur10_slow").run("12 s").notices
     assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in notices)
-    assert dm.load("ur10_slow").run("5 s").notices == ()  # too short to be worth the look
+    assert dm.load("ur10_slow").run("5 s").notices == ()  # too short to be shown
     assert dm.load("ur10_fast").run("12 s").notices == ()
 
 

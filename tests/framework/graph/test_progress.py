@@ -1,4 +1,4 @@
-"""What a command that waits shows in a terminal: the step, and nothing elsewhere."""
+"""The step that a waiting command shows in a terminal, and nowhere else."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Terminal(io.StringIO):
 
 
 def test_a_live_page_shows_its_steps_in_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.page.page.content_of", lambda *_: {})  # what takes seconds
+    monkeypatch.setattr("dmframe.page.page.content_of", lambda *_: {})  # steps that take seconds
     monkeypatch.setattr("dmframe.page.page.assembled", lambda _: "a page")
     graph = dm.load("pendulum")
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())

@@ -52,7 +52,7 @@ def test_what_is_compared_is_run_and_labelled_by_what_was_set() -> None:
     assert runs["pendulum duration=0.1, Gamma=1"] is runs[1]
     with pytest.raises(UnknownNameError, match="did you mean pendulum"):
         runs["pendulun"]
-    own = [f"estimates_{name}" for name in runs.labels]  # none of V, which this file leaves out
+    own = [f"estimates_{name}" for name in runs.labels]  # without V, which this file omits
     assert list(runs.plot()) == ["error", "path", "commands", "effort", *own]
     assert list(runs.plot("arm.q")) == ["signals"]
     assert str(runs).splitlines()[1].startswith("pendulum")

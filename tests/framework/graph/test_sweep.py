@@ -1,4 +1,4 @@
-"""`dm.sweep`: figures of one graph with many values, against the runs of the graphs alone."""
+"""`dm.sweep`: figures of one graph with many values, compared with separate runs of the graphs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_a_grid_has_a_dimension_a_name_and_the_figures_of_the_runs_alone() -> No
     for name, instead, values in (
         ("rms_by_eighth", "rms_1", mine["rms_by_eighth"][0]),
         ("arm.q_most", "arm.q.most", mine["arm.q_most"]),
-    ):  # by the names that a study's table has, and by those of before, which say so
+    ):  # by the names of a study's table, and by the former names, whose attributes name the new ones
         assert found[name].attrs["instead"] == instead
         np.testing.assert_array_equal(mine[instead], values)
     assert "instead" not in found["rms_final"].attrs
@@ -42,7 +42,7 @@ def test_a_grid_has_a_dimension_a_name_and_the_figures_of_the_runs_alone() -> No
 
 def test_a_list_takes_its_values_side_by_side_also_those_that_shape_the_loop() -> None:
     values = {"clock": ["2 ms", "4 ms", "2 ms"], "dynamics.Gamma": [1, 2, 1e6]}
-    free = dm.load("arm2_joint").set({"dynamics.a_d_hat_box": None})  # in its box no estimate grows without limit
+    free = dm.load("arm2_joint").set({"dynamics.a_d_hat_box": None})  # its box bounds each estimate
     found = dm.sweep(free, values, until=0.4, design="list")
     assert found["rms_final"].dims == ("run",)
     assert found["clock"].values.tolist() == ["2 ms", "4 ms", "2 ms"]

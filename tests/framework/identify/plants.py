@@ -74,7 +74,7 @@ def record(
         tau = (hidden.f * dq_c - v + hidden.a * q_c - hidden.b * (q - START)) / hidden.w + z
         dry = hidden.coulomb + hidden.per_torque * np.abs(tau)
         tau = tau - hidden.viscous * v - dry * np.tanh(v / hidden.v_0) - hidden.hysteresis * bristle
-        slip = (v - np.abs(v) * bristle) / 0.02  # Dahl's model: friction with memory, not of the twin's family
+        slip = (v - np.abs(v) * bristle) / 0.02  # Dahl's model: friction with memory, not in the twin's family
         zeta = hidden.c * (q_c - q + START) / hidden.w
         return np.concatenate([v, pin.aba(model, data, q, v, tau), dq_c, zeta, slip])
 
@@ -95,7 +95,7 @@ def record(
 
 
 def write(file: Path, t: Array, q: Array, u: Array, names: Callable[[str, int], str] | None = None) -> Path:
-    """The log as CSV with plain names of columns."""
+    """The log as CSV with plain column names."""
     named = names or (lambda stem, j: f"{stem}_{j}")
     head = ["t", *(named("q", j) for j in (1, 2, 3)), *(named("dq_c", j) for j in (1, 2, 3))]
     np.savetxt(file, np.column_stack([t, q, u]), delimiter=",", header=",".join(head), comments="", fmt="%.10g")

@@ -1,4 +1,4 @@
-"""The proposed excitation stays inside its limits, is the same in all files, and determines the servo."""
+"""The proposed excitation respects its limits, is the same in all files, and determines the servo."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_path_of_a_ur10_is_free_of_collisions_by_distances(tmp_path: Path) -
         pin.computeDistances(chain.model, obstacles.data, shapes, data, q)
         for pair, result in zip(shapes.collisionPairs, data.distanceResults, strict=True):
             joints = [shapes.geometryObjects[i].parentJoint for i in (pair.first, pair.second)]
-            if min(joints) < 3 < max(joints) or max(joints) <= 3:  # the wrist is held, and is one body with the forearm
+            if min(joints) < 3 < max(joints) or max(joints) <= 3:  # the fixed wrist is one body with the forearm
                 assert result.min_distance > 0
 
 

@@ -1,4 +1,4 @@
-"""A hidden robot's servo, found from positions and commands alone."""
+"""A hidden robot's servo, identified from positions and commands only."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_pid_servo_its_gains_and_its_delay_are_found_within_half_a_percent(tmp
 
 
 def check_draws(found: Identified) -> None:
-    """Twins that are drawn from the covariance of the fit leave nearly its residual."""
+    """Twins drawn from the covariance of the fit have nearly its residual."""
     unknowns, theta = found.fit.unknowns, found.fit.theta[:, None]
     delay = found.delay[0] * unknowns.log.period
     plan = schedule(unknowns.log, delay)
@@ -67,7 +67,7 @@ def check_twin(found: Identified, out: Path) -> None:
     assert {"servo.K_D", "arm.viscous", "arm.rotor"} <= set(graph.intervals())
     low, high = np.array(YAML().load(out / "twin.yaml")["uncertain"]["servo.K_D"], dtype=float)
     assert np.all((low < value["servo.K_D"]) & (value["servo.K_D"] < high))
-    assert np.all(high < 1.05 * low)  # at the scale of the torques that the robot of the graph has
+    assert np.all(high < 1.05 * low)  # at the scale of the torques of the graph's robot
     assert graph.run("0.5 s", progress=False).recording.divergence is None
     assert json.loads((out / "identified.json").read_text())["record"]["sha256"]
 

@@ -25,7 +25,7 @@ JOINTS = CHAIN.joint_names
 
 
 def moved() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, positions and commands; positions follow after 24 ms."""
+    """Time, positions and commands; positions lag by 24 ms."""
     u = steps(T, 10.0, 0)
     q = 1.0 + T * np.cumsum(np.vstack([np.zeros((3, 3)), u[:-3]]), axis=0)
     return T * np.arange(len(u)), q, u

@@ -1,4 +1,4 @@
-"""Logs that cannot be right are refused, with the place and the remedy."""
+"""Invalid logs are refused, with the place and the remedy."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def still(t: np.ndarray, q: np.ndarray, u: np.ndarray) -> Columns:
 
 
 def moved(u: np.ndarray) -> Columns:
-    """A log of commands that positions follow after 24 ms."""
+    """A log of commands with positions that lag by 24 ms."""
     return 0.008 * np.arange(len(u)), 1.0 + np.cumsum(np.roll(u, 3, axis=0), axis=0) * 0.008, u
 
 

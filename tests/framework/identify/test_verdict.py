@@ -1,4 +1,4 @@
-"""The verdict on a twin: draws, the race of laws, the rule, and what is refused."""
+"""The verdict on a twin: draws, the race of laws, the rule, and refusals."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_draws_hold_the_scale_that_no_motion_shows_and_have_the_covariance_of_th
     assert np.ptp(drawn[at["v_0"]]) < 1e-6
     k_P = drawn[at["k_P"]]
     covariance = found.fit.covariance
-    C = np.zeros((3, covariance.shape[0]))  # the held ones: mean of log w, v_0 and a narrow delay
+    C = np.zeros((3, covariance.shape[0]))  # the fixed ones: mean of log w, v_0 and a narrow delay
     C[0, at["w"]], C[1, at["v_0"]], C[2, at["delay"]] = 1 / 3, 1, 1
     other = np.linalg.inv(np.linalg.inv(covariance + 1e-16 * np.eye(len(covariance))) + 1e14 * C.T @ C)
     assert np.cov(k_P) == pytest.approx(other[at["k_P"], at["k_P"]], rel=0.15, abs=1e-7)
@@ -108,7 +108,7 @@ def test_the_plant_of_a_draw_has_its_base_parameters_and_gains() -> None:
     values[model.base.parameters.inertial] = plant.bodies.ravel()
     values[model.base.parameters.places("rotor")] = plant.rotors
     beta = unknowns.numbers(theta[:, None], 0.0)[model.places["beta"], 0]
-    assert model.grouping @ values == pytest.approx(beta, rel=1e-6, abs=1e-3)  # a rotor is not negative
+    assert model.grouping @ values == pytest.approx(beta, rel=1e-6, abs=1e-3)  # a rotor inertia is not negative
     assert plant.servo["K_P"] / plant.servo["K_D"] == pytest.approx(np.exp(theta[unknowns.places["k_P"]]))
 
 
@@ -275,7 +275,7 @@ def test_the_command_prints_the_identification_also_without_a_verdict(
 
 
 class _Tags(HTMLParser):
-    """Texts by heading, and addresses outside of the page."""
+    """Texts by heading, and addresses outside the page."""
 
     def __init__(self, page: str) -> None:
         super().__init__()

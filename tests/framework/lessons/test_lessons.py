@@ -1,4 +1,4 @@
-"""Lessons: found, taken apart, made into notebooks, and printed for a terminal."""
+"""Lessons: found, parsed, converted to notebooks, and printed for a terminal."""
 
 from __future__ import annotations
 

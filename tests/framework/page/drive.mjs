@@ -24,5 +24,5 @@ for (const { p = null, margins = null, shift = null, run = {}, moved: { at, ...m
   const found = p ? loop.judged(p, pose) : Float64Array.from(margins, (value) => value ?? NaN);
   answers.push(judgement(content, found, at ? { ...moved, at: new Set(at) } : moved, p ? loop.spread(p, pose) : null, run));
 }
-for (const { V, rounding } of climbs) answers.push(climbOf(V, rounding));
+for (const { V, rounding, restarts } of climbs) answers.push(climbOf(V, rounding, restarts));
 process.stdout.write(JSON.stringify({ answers, plain: quantities.map((pair) => plain(...pair)) }));

@@ -1,4 +1,4 @@
-"""What a page's verdict says of its clock: bounds of the loop near its set-point, and where V rose in the run."""
+"""Statements of a page on its clock: limits of the loop near its set-point, and where V increased in the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FILE, MOVED = {"p": False, "run": False}, {"p": True, "run": False, "at": []}
 
 @cache
 def clocked() -> dict[str, Any]:
-    """A page's data with what it says of its clock."""
+    """A page's data, with those on its clock."""
     return content_of_graph(dm.load("arm2_joint"), periods=True)
 
 
@@ -72,7 +72,7 @@ def test_at_other_numbers_the_bounds_are_not_known() -> None:
 )
 def test_bounds_that_were_not_found_are_reported_as_unknown(periods: Any, says: str) -> None:
     (found,) = said({**clocked(), "periods": periods}, 1.0)
-    assert says in found["sentences"][0]
+    assert says in " ".join(found["sentences"])
 
 
 def test_without_a_clock_and_over_samples_no_bound_is_looked_for() -> None:
@@ -83,7 +83,29 @@ def test_without_a_clock_and_over_samples_no_bound_is_looked_for() -> None:
 def test_a_run_that_diverges_is_not_green() -> None:
     question = {"p": clocked()["p"], "moved": FILE, "run": {"tick": 0.002, "every": 1, "divergence": {"time": 1}}}
     (found,) = answered(clocked(), judged=[question])["answers"]
-    assert found["state"] == "clock"
+    assert (found["state"], found["headline"]) == (
+        "fails",
+        "This run is not as proved: sampled every 2 ms, it diverges",
+    )
+
+
+@pytest.mark.parametrize(("fraction", "state"), [(0.04, "proved"), (0.3, "clock"), (0.6, "fails"), (None, "fails")])
+def test_the_words_of_a_verdict_follow_the_rise_of_v(fraction: float | None, state: str) -> None:
+    climb = {"rise": 1.0, "rises": 7, "steps": 9, "fraction": fraction, "jumps": []}
+    question = {"p": clocked()["p"], "moved": FILE, "run": {"tick": 0.002, "every": 1, "climb": climb}}
+    (found,) = answered(clocked(), judged=[question])["answers"]
+    assert found["state"] == state
+    if state != "proved":
+        assert "sampled every 2 ms, V rises" in found["headline"]
+
+
+def test_a_step_of_a_source_starts_a_new_v() -> None:
+    V = [4.0, 3.0, 2.0, 6.0, 5.0, 5.5]
+    question = {"V": V, "rounding": [0.0] * 6}
+    plain, restarted = answered({}, climbs=[question, {**question, "restarts": [3]}])["answers"]
+    assert (plain["rise"], plain["rises"], plain["fraction"]) == (4.0, 2, 2.0)
+    assert (restarted["rise"], restarted["rises"], restarted["fraction"]) == (0.5, 1, 0.5 / 3)
+    assert restarted["jumps"] == [3]
 
 
 def test_where_v_rose_is_counted_as_a_run_counts_it() -> None:

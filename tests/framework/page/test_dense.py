@@ -1,4 +1,4 @@
-"""A page's verdict over dense positions of its sliders: where it is green, `verify` proves these numbers."""
+"""A page's verdict at dense positions of its sliders: where it is green, `verify` proves these numbers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def sliders(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def positions(data: Mapping[str, Any]) -> list[Position]:
-    """Each slider by itself, from end to end, then combinations of some."""
+    """Each slider separately, from end to end, then combinations of some."""
     known, rng = list(sliders(data)), np.random.default_rng(1)
     alone = [{label: float(place)} for label in known for place in np.linspace(-1, 1, STEPS)]
     some = [rng.choice(known, rng.integers(2, len(known) + 1), replace=False) for _ in range(300)]
@@ -35,7 +35,7 @@ def positions(data: Mapping[str, Any]) -> list[Position]:
 
 
 def moved(data: Mapping[str, Any], position: Position) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A question to the page, and the settings of a graph with the same numbers."""
+    """A query to the page, and the settings of a graph with the same numbers."""
     p, at, settings = list(data["p"]), list[int](), dict[str, Any]()
     for label, place in position.items():
         item = sliders(data)[label]

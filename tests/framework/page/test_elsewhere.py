@@ -1,4 +1,4 @@
-"""What a page says at numbers moved by its sliders, checked against `verify` of a graph with these numbers."""
+"""A page's verdict at numbers moved by its sliders, compared with `verify` of a graph with these numbers."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ FILE = "The proof does not apply at these values"
 
 @pytest.fixture(scope="module")
 def uncertain() -> Any:
-    """A graph whose servo is known up to intervals, over which `verify` decides."""
+    """A graph with servo parameters in intervals, over which `verify` decides."""
     known = {"servo.K_D": [10, 30], "servo.K_P": [40, 80], "servo.K_I": [10, 40]}
     graph = dm.load("pendulum").set({"uncertain": known})
     return graph, content_of_graph(graph)
 
 
 def judged(data: Mapping[str, Any], moved: Mapping[str, float], shift: list[float] | None = None) -> dict[str, Any]:
-    """What a page says with these numbers moved, and its start."""
+    """The page's verdict with these numbers moved, and its start."""
     p = list(data["p"])
     places = {slider["label"]: slider["at"] for slider in data["sliders"]}
     for label, value in moved.items():
@@ -96,7 +96,7 @@ def test_ends_of_an_expression_are_those_of_interval_arithmetic() -> None:
 
 @final
 class Path(AbstractBlock):
-    """A ramp up to where it is held, continuous only where the two agree."""
+    """A ramp up to a constant value, continuous only where the two are equal."""
 
     side = Side.SOURCE
     inputs = (TIME,)
@@ -109,7 +109,7 @@ class Path(AbstractBlock):
 
 @final
 class Toy(AbstractBlock):
-    """V holds x - r alone; the rest is what `verify` checks besides its conditions."""
+    """V contains x - r only; the rest is checked by `verify` in addition to its conditions."""
 
     inputs = (Input("r"), Input("dr", "", "1/s", derivative_of="r"))
     outputs = ()
@@ -149,7 +149,7 @@ def test_what_verify_looks_at_in_silence_is_judged_where_it_fails(values: dict[s
 
 
 def failing(verdict: Verdict, other: Diagram) -> list[str]:
-    """What is tacit in a verdict, and fails at the numbers of another diagram; of the conditions none does."""
+    """Implicit checks of a verdict that fail at the numbers of another diagram; no condition fails."""
     claim, names = verdict.claim, list[str]()
     assert claim is not None
     for item in parameter_margins(verdict.conditions, claim, {}):
@@ -196,7 +196,7 @@ def test_that_a_path_does_not_jump_was_decided_for_its_own_numbers_alone() -> No
 
 @final
 class Reader(AbstractBlock):
-    """x' = -x; its conditions read a number that its equations take as a symbol, and it refuses large ones."""
+    """x' = -x; its conditions read a number that its equations use as a symbol, and it refuses large values."""
 
     states = (State("x"),)
     k: Scalar = Positive("", "", default=2.0)
@@ -293,7 +293,7 @@ def test_a_margin_that_rounding_may_have_turned_is_not_decided() -> None:
 
 @pytest.mark.parametrize("nominal", [1.1, 7.64])
 def test_a_number_that_moves_a_start_out_of_its_box_takes_the_proof_away(nominal: float) -> None:
-    """What starts at a share of the truth starts elsewhere at another share, though no start was moved by itself."""
+    """An initial value that is a fraction of the true one changes with it, although no start was moved separately."""
     graph = dm.load("torque_direct_pid")
     page, verdict = (
         judged(content("torque_direct_pid"), {"model.nominal": nominal}),

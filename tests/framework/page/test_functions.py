@@ -1,4 +1,4 @@
-"""What a live page evaluates besides its run."""
+"""Functions of a live page in addition to its run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A page carries the origin and the licences of its robot, the hash of its model, and a policy for its one script."""
+"""A page contains the origin and the licences of its robot, the hash of its model, and a policy for its one script."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plot's axis, in Node: its marks end, and no two of them read the same."""
+"""A plot's axis, in Node: its tick marks are finite in number, and no two have the same text."""
 
 from __future__ import annotations
 

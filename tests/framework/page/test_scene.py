@@ -1,4 +1,4 @@
-"""Which meshes a page draws of a robot, and when it draws tubes instead."""
+"""Which meshes a page draws for a robot, and when it draws tubes instead."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIMIT = '<limit lower="-3" upper="3" velocity="3" effort="100"/>'
 
 
 def robot(folder: Path, shapes: tuple[str, str], kind: str = "revolute") -> Path:
-    """A robot file with two links, of which each collides as the shape says."""
+    """A robot file with two links with the given collision shapes."""
     text = '<robot name="made"><link name="base"/>'
     for k, shape in enumerate(shapes):
         before, x = ("base", 0) if k == 0 else ("link0", 0.3)
@@ -35,7 +35,7 @@ def robot(folder: Path, shapes: tuple[str, str], kind: str = "revolute") -> Path
 
 
 def mesh(folder: Path, corners: np.ndarray, name: str = "mesh") -> str:
-    """A file of triangles, as a robot file names it."""
+    """A file of triangles, as referenced by a robot file."""
     triangles = [struct.pack("<12fH", 0, 0, 0, *corners[list(face)].ravel(), 0) for face in FACES]
     (folder / f"{name}.stl").write_bytes(bytes(80) + struct.pack("<I", len(triangles)) + b"".join(triangles))
     return f'<mesh filename="{name}.stl"/>'

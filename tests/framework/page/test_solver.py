@@ -1,4 +1,4 @@
-"""What a page simulates, against `dmframe run` on the same numbers."""
+"""A page's simulation, compared with `dmframe run` for the same numbers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_numbers_that_a_slider_moved_give_what_set_gives() -> None:
     expected = columns(simulated(dm.load("arm2_joint").set({"task.alpha_bar": 3}), 0.5))
     np.testing.assert_allclose(found["states"][-1], expected[-1], rtol=1e-7, atol=1e-9)
     still = columns(simulated(dm.load("arm2_joint"), 0.5))
-    assert np.max(np.abs(np.array(found["states"][-1]) - still[-1])) > 1e-5  # what moved has an effect
+    assert np.max(np.abs(np.array(found["states"][-1]) - still[-1])) > 1e-5  # the moved number has an effect
 
 
 def test_a_clock_that_a_slider_moved_gives_what_set_gives() -> None:
@@ -64,7 +64,7 @@ def test_a_start_is_put_onto_a_path_that_moved_and_then_shifted() -> None:
 
 @pytest.fixture(scope="module")
 def sought() -> Graph:
-    """A robot whose start pose is not given, but follows from the path of its tool."""
+    """A robot without a given start pose, which follows from the path of its tool."""
     held = dm.load("ur10_fast_kinematic").set({"start": {"near": [1.5, -1.0, 1.0]}})
     assert held.start == {"near": [1.5, -1.0, 1.0]}
     return held

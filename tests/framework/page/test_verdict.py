@@ -1,4 +1,4 @@
-"""What a page says of the proof, at numbers that were moved and at those that were not."""
+"""A page's verdict at moved numbers and at the graph's."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def said(data: dict[str, Any], *questions: dict[str, Any], web: Path = WEB) -> l
 
 
 def stated(*conditions: dict[str, Any], **verdict: Any) -> dict[str, Any]:
-    """A verdict's data with these conditions alone, at margins that a test gives."""
+    """A verdict's data with these conditions only, at margins given by a test."""
     plain = {"how": "exact", "value": 1.0, "holds": True, "size": 1, "strict": True}
     known = {"outcome": "proved", "headline": "proved", "reason": "the identity; more", "kappa": None}
     rows = [{"name": f"condition {k}", "at": k, **plain, **given} for k, given in enumerate(conditions)]
@@ -26,7 +26,7 @@ def stated(*conditions: dict[str, Any], **verdict: Any) -> dict[str, Any]:
 
 
 def margins(*values: float) -> dict[str, Any]:
-    """NaN travels as null."""
+    """NaN is transferred as null."""
     return {"margins": [None if math.isnan(value) else value for value in values], "moved": MOVED}
 
 
@@ -86,7 +86,7 @@ def test_what_was_decided_for_the_files_numbers_alone_is_open_elsewhere() -> Non
     assert "file's values only" in there["sentences"][-1]
 
 
-def test_what_was_decided_for_the_files_numbers_stands_while_what_it_reads_does() -> None:
+def test_a_decision_at_the_files_numbers_remains_while_its_inputs_do() -> None:
     data, elsewhere = stated({"at": None, "size": None, "reads": [3, 4]}, {"at": 0}), {"p": True, "run": False}
     stays, goes = said(data, *({**margins(1.0), "moved": {**elsewhere, "at": at}} for at in ([2, 5], [2, 4])))
     assert (stays["state"], goes["state"]) == ("proved", "undecided")

@@ -1,4 +1,4 @@
-"""A function's program: one place a value, whatever CasADi does with its registers."""
+"""A function's program: one place per value, although CasADi reuses registers."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_register_that_is_used_again_is_another_value() -> None:
 
 
 def test_reading_a_target_before_its_operands_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a register taken for written too early, another value comes out."""
+    """A register that counts as written too early would give another value."""
     f = long_sum()
     reused = [(line, read) for line, (_, read, written, _) in enumerate(instructions(f)) if written[0] in read[:1]]
     assert reused
@@ -142,7 +142,7 @@ def test_an_operation_is_named_as_an_author_writes_it() -> None:
 
 
 PLACES = (-1.0, 0.0, 0.365, 0.73, 1.0)
-"""Where operations switch whose other operand is one of these."""
+"""Places of switching operations whose other operand is one of these."""
 
 
 @pytest.mark.parametrize("name", [operation.name for operation in OPERATIONS.values()])
@@ -174,13 +174,13 @@ def computed(code: int, arity: int) -> Any:
 
 
 def around(f: Any, place: float, other: float, turned: bool, step: float) -> np.ndarray:
-    """Below, at and above a place of one operand; what is infinite there as no number."""
+    """Below, at and above a place of one operand; infinite values as NaN."""
     moved, held = place + step * np.array([-1.0, 0.0, 1.0]), np.full(3, other)
     values = f(held, moved) if turned else f(moved, held)
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def test_what_is_not_an_operation_is_a_value_of_which_nothing_is_known() -> None:
+def test_what_is_not_an_operation_is_an_unknown_value() -> None:
     x = ca.SX.sym("x", 2)
     inner = ca.Function("inner", [x], [ca.sumsqr(x), x], {"never_inline": True})
     f = ca.Function("f", [x], [ca.vertcat(*inner(ca.sin(x)))])
@@ -284,7 +284,7 @@ def test_a_function_made_to_be_read_gives_the_same_program_with_fewer_calls(seed
 
 
 def test_a_shared_program_has_each_value_once_and_the_outputs_of_the_whole_one() -> None:
-    def made(x: ca.SX, y: ca.SX) -> ca.SX:  # each call builds its nodes anew
+    def made(x: ca.SX, y: ca.SX) -> ca.SX:  # each call creates its nodes again
         return ca.vertcat((x + y) * 3 - ca.sin(x * y), y / x + (x - y) * ca.sin(x * y), 3 - x)
 
     x, y = ca.SX.sym("x"), ca.SX.sym("y")

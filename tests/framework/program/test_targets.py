@@ -1,4 +1,4 @@
-"""Each target's table of rules, compared with CasADi's own evaluation for every operation that SX can hold."""
+"""Each target's table of rules, compared with CasADi's evaluation of every operation that SX can contain."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CODES: Final = sorted(OPERATIONS)
 
 
 def function(code: int) -> Any:
-    """One operation of two inputs; the second is read anyway."""
+    """One operation of two inputs; the second is read in any case."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     if code == ca.OP_CONSTPOW:
         return ca.Function("f", [x, y], [x**2.5])
@@ -81,7 +81,7 @@ def in_pieces(f: Any, x: float, y: float) -> float:
 
 
 def in_polynomials(f: Any, x: float, y: float) -> float:
-    """At symbols that stand for the numbers; at angles for sine and cosine."""
+    """At symbols that replace the numbers; at angles for sine and cosine."""
     code = max(read(f).codes - {ca.OP_INPUT, ca.OP_CONST})
     angles = [(0, (1, 0)), (0, (0, 1))]
     symbols = [polynomial.Polynomial.symbol(name) for name in "xy"]
@@ -125,7 +125,7 @@ def again(f: Any, x: float, y: float) -> float:
 
 
 def in_a_field(f: Any, x: float, y: float) -> float:
-    """Rational values, read back from their residues; of anything else nothing is known there."""
+    """Rational values, recovered from their residues; other values are unknown there."""
     tape, trial = Tape.from_function(f), Trial(MERSENNE_127, random.Random(0))
     [[residue]] = tape.evaluate([[trial.residue(Fraction(value))] for value in (x, y)], trial)
     return float(rational_reconstruction(residue, MERSENNE_127))
@@ -165,14 +165,14 @@ HELD: Final = {
 
 
 def differences(name: str, code: int) -> Iterator[bool]:
-    """At each point where CasADi has a number: is the target's another one, or none?"""
+    """True where CasADi has a number and the target has another one, or none."""
     compute, _ = TARGETS[name]
     for x, y in POINTS:
         expected = truth(code, x, y)
         if math.isfinite(expected):
             try:
                 found = compute(FUNCTIONS[code], x, y)
-            except Exception:  # whatever a wrong rule makes of its operands
+            except Exception:  # for any result of a wrong rule
                 found = math.nan
             yield not math.isclose(found, expected, rel_tol=1e-13, abs_tol=1e-13)
 
@@ -198,7 +198,7 @@ def test_an_operation_without_a_rule_is_refused_in_the_targets_own_words(name: s
 
 
 def another(rules: dict[int, Any], code: int) -> int:
-    """The next operation with as many operands; no power, of which there are two that are one."""
+    """The next operation with as many operands; not a power, of which there are two equal ones."""
     alike = [k for k in sorted(rules) if OPERATIONS[k].arity == OPERATIONS[code].arity and k != ca.OP_CONSTPOW]
     return next((k for k in alike if k > code), alike[0])
 
@@ -213,7 +213,7 @@ def test_a_wrong_rule_is_caught(name: str, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def followed(code: int) -> Any:
-    """The operation with conditions that are some, for those that ask for conditions."""
+    """The operation with non-trivial conditions, for targets that use conditions."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     conditions = {ca.OP_NOT: (x < 1, y), ca.OP_IF_ELSE_ZERO: (x < 1, y)}
     conditions |= dict.fromkeys((ca.OP_AND, ca.OP_OR), (x < 1, y < 0.7))
@@ -221,7 +221,7 @@ def followed(code: int) -> Any:
 
 
 def differences_near(code: int) -> Iterator[bool]:
-    """On the piece that begins at each point, from CasADi's value a little later."""
+    """On the piece that begins at each point, from CasADi's value shortly after."""
     f = followed(code)
     for x, y in POINTS:
         expected = float(f(x + 1e-12, y))
@@ -243,13 +243,13 @@ def test_what_is_followed_in_time_has_casadis_value_near_every_switch(code: int)
 @pytest.mark.parametrize("code", sorted(pieces.SWITCHES))
 def test_a_switch_held_wrongly_is_caught(code: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rules = dict(pieces.SWITCHES)
-    farther = another(rules, another(rules, code))  # near a switch < and <= are one
+    farther = another(rules, another(rules, code))  # near a switch < and <= are equal
     monkeypatch.setattr(pieces, "SWITCHES", rules | {code: rules[farther]})
     assert any(differences_near(code))
 
 
 def on_polynomials(code: int) -> bool:
-    """Does the rule for polynomials in time give what arithmetic gives at one time?"""
+    """True if the rule for polynomials in time agrees with arithmetic at one time."""
     operands = [fmpq_poly([3, fmpq(1, 2)]), fmpq_poly([5])][: OPERATIONS[code].arity]
     if code == ca.OP_INV:
         operands = [fmpq_poly([5])]
@@ -350,7 +350,7 @@ def test_a_number_is_a_double_or_what_was_written_as_the_target_likes() -> None:
 
 
 def test_a_whole_power_is_a_product_wherever_it_is_exact() -> None:
-    """CasADi writes products up to an exponent of 100, and a power beyond."""
+    """CasADi writes products up to an exponent of 100, and a power above."""
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [ca.vertcat(x**150, x**-101, x**2.5)])
     tape, trial = Tape.from_function(f), Trial(MERSENNE_127, random.Random(0))

@@ -1,4 +1,4 @@
-"""A claim as data: what is exported is what was checked, and it needs neither CasADi nor a diagram."""
+"""A claim as data: the exported object is the one that was checked; it needs neither CasADi nor a diagram."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_corrupted_file_is_refused_or_refuted_or_states_the_same() -> None:
         outcomes["zero" if identity(changed, trials=1, seed=0).zero else "refuted"] += 1
     assert outcomes["refuted"] > 15
     assert outcomes["refused"] > 10
-    assert outcomes["zero"] < 15  # operations exchanged for equal ones, and terms that change on both sides alike
+    assert outcomes["zero"] < 15  # operations exchanged for equal ones, and terms that change equally on both sides
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def numbers_of(steps: NormalisedSteps | LeastSquaresSteps, rng: random.Random) -
         named |= {"gathered": steps.gathered, "retention": steps.retention}
     given = {name: [rng.uniform(0.2, 1.0) for _ in range(symbol.numel())] for name, symbol in named.items()}
     if steps.box:
-        given["lower"] = [x + 0.05 for x in given["theta"]]  # some elements meet their face
+        given["lower"] = [x + 0.05 for x in given["theta"]]  # some elements reach their face
         given["upper"] = [x + 1.0 for x in given["lower"]]
     if isinstance(steps, LeastSquaresSteps):
         given["gathered"] = [0.0] * len(given["gathered"])
@@ -229,6 +229,6 @@ def test_a_real_point_inside_its_box_is_known_to_be_there() -> None:
     assert [ring.call(name, third, inside) for name in ("eq", "le", "ne", "lt")] == [1, 1, 0, 0]
     assert ring.call("eq", third, ring.call("fmax", third, fifth)) == 1
     assert ring.call("eq", third, ring.call("fmin", third, fifth)) == 0
-    assert not ring.call("eq", third, fifth + (third - fifth)).is_finite()  # equal, and no object says so
+    assert not ring.call("eq", third, fifth + (third - fifth)).is_finite()  # equal, although no object states it
     nothing = ball(1) / ball(0)
     assert not ring.call("eq", nothing, nothing).is_finite()

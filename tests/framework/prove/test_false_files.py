@@ -1,4 +1,4 @@
-"""Files that state something false, or nothing at all, in the form of a claim: each is refused before it is tested."""
+"""Claim files with false or empty statements: each is refused before the test."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def swap_moves(found: dict[str, Any]) -> None:
 
 
 def jumping_storage(found: dict[str, Any]) -> None:
-    """V holds the largest whole number below a state, whose derivative is zero wherever it has one."""
+    """V contains the floor of a state, whose derivative is zero wherever it exists."""
     nodes, own = found["program"]["nodes"], output(found, "task.stored of q - q_d.vector")
     nodes.append(["floor", own[4][0]])
     own[4][0] = len(nodes) - 1
@@ -186,7 +186,7 @@ def test_a_key_that_a_reader_might_read_otherwise_is_refused() -> None:
 
 
 def steep(found: dict[str, Any], squares: int) -> None:
-    """A position, squared again and again, in what an equation adds and takes away."""
+    """A position, squared repeatedly, that an equation adds and subtracts."""
     nodes, own = found["program"]["nodes"], output(found, "task.supply")
     nodes.append(["input", 1, 0])
     for _ in range(squares):

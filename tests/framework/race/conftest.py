@@ -1,4 +1,4 @@
-"""A race on a planar arm, whose two laws differ in numbers alone and share machine code."""
+"""A race on a planar arm, whose two laws differ in numbers only and share machine code."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ Make = Callable[..., Race]
 
 
 def made(folder: Path, *changes: tuple[str, str]) -> Race:
-    """The race with some of its text replaced, in a folder with its law."""
+    """The race with replaced parts of its text, in a folder with its law."""
     text = RACE
     for old, new in changes:
         assert old in text
@@ -68,13 +68,13 @@ def made(folder: Path, *changes: tuple[str, str]) -> Race:
 
 @pytest.fixture
 def race(tmp_path: Path) -> Make:
-    """Makes the race, with some of its text replaced."""
+    """Makes the race with replaced parts of its text."""
     return partial(made, tmp_path)
 
 
 @pytest.fixture(scope="session")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    """The race as it stands, run once."""
+    """The unchanged race, run once."""
     folder = tmp_path_factory.mktemp("race")
     return run_race(made(folder), folder / "out", executor=InProcess)
 

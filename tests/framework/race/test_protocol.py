@@ -1,4 +1,4 @@
-"""The protocol of a race, on errors that are given: candidates, choice, ratios and quantiles by hand."""
+"""The protocol of a race on given errors: candidates, choice, ratios and quantiles by hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Make = Callable[..., Race]
 
 
 def errors_of(runs: Iterable[Run]) -> dict[Run, float]:
-    """An error that grows with the distance of gamma from 10, so that the best candidate is known."""
+    """An error that increases with the distance of gamma from 10, so the best candidate is known."""
     return {run: 1 + abs(math.log(run.values[0][1] / 10)) for run in runs}
 
 
@@ -133,7 +133,7 @@ def test_quantiles_are_order_statistics_and_the_interval_of_the_median_is_a_seed
     assert list(found.quantiles.values()) == [1, 2, 3, 4, math.inf]
     assert found == spread(values, seed=3)
     assert found.low <= found.median <= found.high == math.inf
-    assert spread([1.0, 4.0], seed=0).median == 2  # of an even number, that of the logarithms
+    assert spread([1.0, 4.0], seed=0).median == 2  # for an even number, that of the logarithms
     assert spread([0.0, 1.0, math.inf, 4.0], seed=0).median == 2
     assert spread([0.0, math.inf], seed=0).median == math.inf
     narrow = spread([1 + k / 1000 for k in range(1000)], seed=0)

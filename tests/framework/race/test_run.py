@@ -54,7 +54,7 @@ def test_an_interrupted_race_keeps_its_runs_and_continues_to_the_same_result(
     begun = lines(out)
     assert 0 < len(begun) < 16
     with (out / JOURNAL).open("a", encoding="utf-8") as file:
-        file.write(CUT)  # a process that was ended while it wrote
+        file.write(CUT)  # a process that was stopped while it wrote
     whole = finished(found, out)
     assert lines(out)[: len(begun)] == begun
     keys = [line["key"] for line in lines(out)]

@@ -1,4 +1,4 @@
-"""Keys of runs: the code that decides them, and no other code."""
+"""Keys of runs: they depend on the code that determines the runs, and on no other code."""
 
 from __future__ import annotations
 

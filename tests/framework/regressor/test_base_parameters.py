@@ -76,14 +76,12 @@ def test_pinocchios_regressor_is_carried_and_its_numerical_rank_is_the_count(nam
     Y = np.vstack([polarised_regressor(robot, *rng.uniform(-2, 2, (4, robot.n))) for _ in range(40)])
     grouping = np.array([[float(x) for x in row] for row in found.grouping])
     assert np.max(np.abs(Y[:, found.independent] @ grouping - Y)) < 1e-8 * np.max(np.abs(Y))
-    if (
-        name != "xarm7"
-    ):  # its rpy of 1.5708 makes columns that differ by 4e-6 only: no numerical rank distinguishes them apart
+    if name != "xarm7":  # its rpy of 1.5708 makes columns that differ by 4e-6 only: no numerical rank separates them
         assert np.linalg.matrix_rank(Y, tol=1e-8 * np.max(np.abs(Y))) == found.count
 
 
 def evaluate(text: str, values: dict[str, Fraction]) -> dict[str, sympy.Expr]:
-    """Read a printed grouping with SymPy: an independent parser of what a person reads."""
+    """Read a printed grouping with SymPy, an independent parser."""
     import sympy
 
     product = re.sub(r"(?<=[\w)]) (?=[\w(])", "*", text).replace("^", "**")

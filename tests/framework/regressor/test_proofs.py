@@ -1,4 +1,4 @@
-"""The structural properties proved for every packaged robot and for random chains; faults put in are refuted."""
+"""Structural properties, proved for every packaged robot and for random chains; seeded faults are refuted."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_every_property_is_proved_for_every_packaged_robot(name: str) -> None:
     assert {proof.name for proof in proofs} == NAMES
     assert failing(proofs) == set()
     assert all(proof.test.log2_error_bound < -150 for proof in proofs)
-    if name != "pendulum":  # of one joint, C is zero
+    if name != "pendulum":  # C is zero for one joint
         assert all(proof.control for proof in proofs)
 
 
@@ -83,7 +83,7 @@ def test_rotations_as_the_file_rounds_them_are_refuted() -> None:
 
 
 class Faulty:
-    """A symbolic robot of which one quantity is wrong."""
+    """A symbolic robot with one wrong quantity."""
 
     def __init__(self, robot: SymbolicRobot, **wrong: Any) -> None:
         self._robot, self._wrong = robot, wrong
@@ -98,7 +98,7 @@ class Faulty:
     ("wrong", "expected"),
     [
         ({"coriolis": lambda r, *a: r.coriolis(*a) * 1.001}, {"composition", "dM/dt - 2C skew"}),
-        ({"coriolis": lambda r, *a: r.coriolis(*a).T}, {"composition", "Christoffel"}),  # s'C's is s'C s
+        ({"coriolis": lambda r, *a: r.coriolis(*a).T}, {"composition", "Christoffel"}),  # s'C's equals s'C s
         ({"mass_matrix": lambda r, *a: 2 * r.mass_matrix(*a)}, {"composition", "M symmetric", "dM/dt - 2C skew"}),
         ({"gravity_torque": lambda r, *a: -r.gravity_torque(*a)}, {"composition"}),
         ({"regressor": lambda r, *a: r.regressor(a[0], a[1], a[1], a[3])}, {"regressor"}),

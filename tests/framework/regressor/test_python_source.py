@@ -1,4 +1,4 @@
-"""The NumPy module: alone, vectorised, and Pinocchio's."""
+"""The NumPy module: stand-alone, vectorised, and compared with Pinocchio."""
 
 from __future__ import annotations
 

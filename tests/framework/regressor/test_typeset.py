@@ -1,4 +1,4 @@
-"""Equations written out are the textbook's, and what is printed is what Pinocchio computes."""
+"""Printed equations are the textbook's, and their values are Pinocchio's."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def symbolic(matrix: Matrix, n: int) -> Any:
 
 
 def textbook() -> Any:
-    """The closed form next to the arm's model, in symbols."""
+    """The closed form and the arm's model, in symbols."""
     folder = find_robot("arm2").urdf.parent
     spec = importlib.util.spec_from_file_location("arm2_closed_form", folder / "closed_form.py")
     assert spec is not None

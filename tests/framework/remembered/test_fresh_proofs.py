@@ -1,4 +1,4 @@
-"""A verdict is shown again while nothing that it was made from has changed; each kind of change is proved anew."""
+"""A cached verdict is printed while none of its inputs has changed; each kind of change leads to a new proof."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ GRAPH = "dmframe: 1\nrobot: {model: arm.urdf}\nduration: 1 s\nclock: continuous\
 
 
 class Place:
-    """A folder with a graph, its block, and everything that the block reads."""
+    """A folder with a graph, its block, and all files that the block reads."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -59,7 +59,7 @@ class Place:
         return found
 
     def run(self, *words: str) -> tuple[dict[str, Any], bool]:
-        """The summary of a run, and whether its conclusions were recalled: they are not written again."""
+        """The summary of a run, and whether its conclusions came from the cache: they are not written again."""
         kept = {path: path.stat().st_ino for path in self.folder.glob("cache/verdicts/*.verdict")}
         call = [sys.executable, "-c", "from dmframe.cli import main; main()", "run", "graph.yaml", "--json"]
         call += ["--no-plots", "--force", "--out", "results", *words]

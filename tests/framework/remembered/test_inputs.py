@@ -1,4 +1,4 @@
-"""What is recorded of a proof, how a change of it shows, and what makes a verdict one that is not kept."""
+"""The recorded inputs of a proof, how a change is detected, and why some verdicts are not stored."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_files_folders_variables_and_looks_are_recorded(
     entry = begun.entry()
     assert entry is not None
     inputs = entry["inputs"]
-    assert str(tmp_path / "data") not in inputs["content"]  # it was written here, and so is no input
+    assert str(tmp_path / "data") not in inputs["content"]  # it was written here, so it is not an input
     assert inputs["variable"]["A_GAIN"] == "absent"
     assert str(tmp_path) in inputs["names"]
     assert inputs["probe"][str(tmp_path / "absent.yaml")] == "no file"

@@ -93,7 +93,7 @@ def contents(
     proved: Verification, refuted: Verification, failing: Verification, silent: Verification
 ) -> dict[str, Content]:
     analysed_too = content(silent)
-    with pytest.MonkeyPatch.context() as patched:  # one linear analysis is enough
+    with pytest.MonkeyPatch.context() as patched:  # one linear analysis is sufficient
         patched.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
         made = {"proved": content(proved), "silent": analysed_too}
         return made | {"refuted": content(refuted), "failing": content(failing)}

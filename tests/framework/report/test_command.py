@@ -1,4 +1,4 @@
-"""The command line that a page or an explanation shows of a graph."""
+"""The command line for a graph on a page or in an explanation."""
 
 from __future__ import annotations
 

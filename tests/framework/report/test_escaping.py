@@ -1,4 +1,4 @@
-"""Whatever is in a graph, its robot or its blocks arrives on a page as text."""
+"""Every text of a graph, its robot or its blocks is escaped on a page."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ EVIL = (
     r"$\href{javascript:alert(1)}{x}$",
 )
 OURS = {"picture", "mermaid", "run", "figure", "bode", "nyquist", "outcome", "side", "kind", "factor", "how"}
-"""What is made by the framework, and read by it; everything else may hold a name that somebody chose."""
+"""Fields made and read by the framework; all others may contain a name chosen by a user."""
 
 
 def with_text(item: Any, text: str) -> Any:
-    """The same content with `text` wherever there is one."""
+    """The same content with `text` in every text field."""
     if isinstance(item, str):
         return text
     if is_dataclass(item) and not isinstance(item, type):
@@ -38,7 +38,7 @@ def with_text(item: Any, text: str) -> Any:
 
 
 def intruders(page: str) -> list[str]:
-    """Elements and attributes that are none of ours."""
+    """Elements and attributes that the framework does not write."""
     elements = list(ET.fromstring(page.removeprefix("<!DOCTYPE html>\n")).iter())
     found = [each.tag for each in elements if each.tag in ("script", "img", "b")]
     found += [key for each in elements for key in each.attrib if key.startswith("on") or key == "src"]
@@ -101,6 +101,6 @@ def test_what_is_wrong_stands_out_in_both():
 
 
 def test_every_content_is_walked_by_these_tests():
-    """A field that is left out above must be one that the framework makes."""
+    """A field that is omitted above must be one that the framework makes."""
     names = {field.name for field in fields(Content)}
     assert {"name", "title", "facts", "laws", "conditions", "replay", "resolved", "uncertain"} <= names - OURS

@@ -1,4 +1,4 @@
-"""Sections that the caller of a report gives, as docs/how_to/extend.md shows."""
+"""Sections given by the caller of a report, as in docs/how_to/extend.md."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.page_code import page_module
 
 @pytest.fixture(scope="module")
 def content(proved):
-    """Of a report without a linear analysis, which takes longest."""
+    """Data for a report without a linear analysis, which takes longest."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
         return gather(proved.graph, proved.verdict, command=["dmframe"], seed=0)
@@ -32,7 +32,7 @@ def largest_efforts(tmp_path):
 
 @pytest.fixture
 def written(content, proved, tmp_path, monkeypatch):
-    """Text of a report with sections, in a format, from content that is collected already."""
+    """Text of a report with sections, in a format, from content that was collected already."""
 
     def written(ending, *sections):
         monkeypatch.setattr(write, "gather", lambda *_, **__: content)
@@ -58,10 +58,10 @@ def test_the_section_of_the_page_holds_the_maxima_of_the_run(written, content, l
             assert float(cell) == pytest.approx(max(values.max(), -values.min()), rel=1e-2)
     assert np.abs(run["servo.u"]).max() > 1
     page = written(".html", largest_efforts)
-    assert page.count(">Largest efforts<") == 2  # its heading, and its line of the contents
+    assert page.count(">Largest efforts<") == 2  # its heading, and its entry in the contents
 
 
-def test_it_stands_before_the_provenance_and_changes_no_other_section(written, largest_efforts):
+def test_it_precedes_the_provenance_and_changes_no_other_section(written, largest_efforts):
     own, plain = (
         [line for line in written(".md", *sections).splitlines() if line.startswith("## ")]
         for sections in ((largest_efforts,), ())

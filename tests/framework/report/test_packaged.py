@@ -1,4 +1,4 @@
-"""Packaged graphs that hold every packaged block, verified once: their summaries and their reports."""
+"""Packaged graphs that contain every packaged block, verified once: their summaries and their reports."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dmframe.report.terms import terms_of
 
 VALIDATOR = Draft202012Validator(verdict_schema())
 LETTER = re.compile(r"\\(?:hat|bar|tilde|dot|ddot)\{[^{}]+\}|\\mathrm\{(?:[^{}\\]|\\_)+\}|\\[A-Za-z]+|[A-Za-z]")
-SIGNS = {"M", "I"}  # the inertia, printed next to the arm's equation, and the identity
+SIGNS = {"M", "I"}  # the inertia, printed with the arm's equation, and the identity
 SYMBOL = re.compile(rf"((?:{LETTER.pattern})(?:_\{{(?:[^{{}}]|\{{[^{{}}]*\}})*\}})?)")
 MARKS = re.compile(
     r"\\operatorname\{(?:[^{}\\]|\\.)*\}|\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|top)\b|\\[,;]"
@@ -34,7 +34,7 @@ def test_the_summary_and_the_report_of_a_packaged_graph_are_valid_and_complete(n
         check_functions(found)
     claim = found.verdict.flow_claim
     if claim is None:
-        # it claims nothing, or moves in samples
+        # without a claim, or in discrete time
         assert name.endswith(("_kinematic", "_eso")) or found.diagram.loop.discrete_time
         check_laws(laws_of(found.diagram))
         return
@@ -47,7 +47,7 @@ def test_the_summary_and_the_report_of_a_packaged_graph_are_valid_and_complete(n
 
 
 def check_laws(laws):
-    """Every block prints what runs."""
+    """Every block's printed law is the one that runs."""
     for law in laws.values():
         for line in law.lines:
             for text in (line.whole.text, line.whole.latex, line.whole.unicode):
@@ -67,10 +67,10 @@ def check_symbols(terms, least):
 
 
 def check_written_out(terms, claim):
-    """V and its rate can be written out."""
+    """V and its rate can be written in full."""
     assert len(terms.storage) == sum(len(part.certificate.storage) for part in claim.parts)
     cascades = [part for part in claim.parts if part.certificate.consumes is not None]
     assert bool(terms.consumption) == bool(cascades)
     text = " ".join(row.right for row in (*terms.V, *terms.rate))
     assert "None" not in text
-    assert "_" not in text.replace("_{", "")  # no name of the code is left bare
+    assert "_" not in text.replace("_{", "")  # no name of the code remains

@@ -33,7 +33,7 @@ def parsed(page: str) -> ET.Element:
 
 
 def words(page: str) -> str:
-    """What a reader sees, without the style sheets."""
+    """The text of the page, without style sheets."""
     body = re.sub(r"<style>.*?</style>", "", page.removeprefix("<!DOCTYPE html>\n"), flags=re.DOTALL)
     body = re.sub(r"(?=</(?:td|th|li|p|h\d)>)", " ", body)
     return " ".join("".join(ET.fromstring(body).itertext()).split())
@@ -188,7 +188,7 @@ def test_the_json_holds_verdict_laws_formulas_run_and_provenance(contents):
 
 @pytest.fixture
 def gathered(contents, monkeypatch):
-    """Nothing is simulated again; the arguments of `gather` are kept."""
+    """Without a new simulation; the arguments of `gather` are recorded."""
     calls = list[dict[str, object]]()
 
     def gather(*_, tell, **named):

@@ -12,7 +12,7 @@ from dmframe.robot.symbolic import SymbolicRobot
 
 
 def value(latex, numbers, q, rates):
-    """What a printed sum is worth: each symbol replaced by its number, then plain arithmetic."""
+    """Value of a printed sum: each symbol replaced by its number, then plain arithmetic."""
     text = latex.removeprefix("= ")
 
     def wave(found):

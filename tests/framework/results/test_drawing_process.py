@@ -29,7 +29,7 @@ def two() -> list[Run]:
 
 
 def alone(runs: list[Run]) -> dict[str, bytes]:
-    """The files as this process draws them."""
+    """The files as drawn by this process."""
     figures = figures_of(named(runs))
     files = [files_of(figure, name, figures.about) for name, figure in figures.items()]
     return {name: content for item in files for name, content in item.items()}
@@ -45,7 +45,7 @@ def expected(two: list[Run]) -> dict[str, bytes]:
 def test_processes_draw_the_same_bytes_as_this_one(
     two: list[Run], expected: dict[str, bytes], cores: int, large: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also runs that are too large to be copied, and where there is no process."""
+    """Also runs that are too large to be copied, and without a drawing process."""
     monkeypatch.setattr("dmframe.common.copies._cores", lambda: cores)
     monkeypatch.setattr(drawing_process, "LARGE", 0 if large else drawing_process.LARGE)
     with drawing([run.graph for run in two], ["svg"]) as drawn:

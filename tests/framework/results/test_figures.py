@@ -24,7 +24,7 @@ NAMES = ("error", "path", "commands", "effort", "storage_ur10_fast", "estimates_
 
 
 def drawn(name, run):
-    """Every figure of a run, drawn as far as a file would need it."""
+    """Every figure of a run, drawn as for a file."""
     makers = (error_figure, path_figure, command_figure)
     for figure in [make({name: run}) for make in makers] + [estimate_figure(name, run)]:
         if figure is not None:
@@ -158,7 +158,7 @@ def test_the_last_lap_of_a_circle_is_one_period_and_an_open_path_is_whole():
     assert times[-1] - times[begin] == pytest.approx(2 * np.pi, abs=0.02)
     assert last_lap(times, np.stack([times, times], axis=1)) == 0
     assert last_lap(times, np.ones((times.size, 2))) == 0
-    waited = np.repeat(np.arange(times.size), np.where(np.arange(times.size) % 700 == 0, 5, 1))  # time stood still
+    waited = np.repeat(np.arange(times.size), np.where(np.arange(times.size) % 700 == 0, 5, 1))  # time is constant
     assert times[waited][last_lap(times[waited], circle[waited])] == times[begin]
 
 
@@ -167,7 +167,7 @@ def test_a_path_that_only_crosses_the_point_where_it_ends_begins_no_lap_there(ma
     eight = np.stack([np.sin(times), np.sin(2 * times)], axis=1)[: int(300 * np.pi) + 1]  # one eight and a half
     begin = last_lap(times[: len(eight)], eight)
     assert times[len(eight) - 1] - times[begin] == pytest.approx(2 * np.pi, abs=0.02)  # not half of it
-    there_and_back = make_result("pendulum", 30.0).recording  # through zero on its way, and at rest there in the end
+    there_and_back = make_result("pendulum", 30.0).recording  # through zero during the run, zero at the end
     assert last_lap(there_and_back.time, there_and_back["path.q_d"]) == 0
     assert last_lap(times[:2], eight[:2]) == 0
 

@@ -26,7 +26,7 @@ from dmframe.simulate import simulate
 
 
 def reserve(path):
-    """Hold a folder for a moment."""
+    """Lock a folder for a short time."""
     with reserved(path) as place:
         return place.path
 

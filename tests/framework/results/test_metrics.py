@@ -31,7 +31,7 @@ def test_eighths_are_of_the_planned_duration_and_those_never_reached_are_none():
 
 
 def test_an_instant_that_opens_an_eighth_is_not_counted_before_it():
-    times = np.arange(8 * 3 + 1) * 0.1  # 0.3 and 0.6 are no exact floats
+    times = np.arange(8 * 3 + 1) * 0.1  # 0.3 and 0.6 are not exact floats
     counts = [int(np.sum(np.floor(times * 8 / 2.4 + 1e-9).astype(int).clip(0, 7) == k)) for k in range(8)]
     norm = (np.arange(times.size) // 3).clip(0, 7).astype(float)
     assert counts == [3] * 7 + [4]
@@ -112,7 +112,7 @@ blocks:
 
 
 def sliding_robot(folder: Path, *kinds: str) -> dm.Graph:
-    """A robot of joints about or along z, which carry no weight in their directions but the last one's."""
+    """A robot with joints about or along z, whose gravity torque is zero except for the last direction."""
     text = '<robot name="made"><link name="l0"/>'
     for k, kind in enumerate(kinds, 1):
         text += (

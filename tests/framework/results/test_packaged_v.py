@@ -1,4 +1,4 @@
-"""V of each packaged graph along its own run, at its own clock: as far as `docs/explanation/proved.md` states."""
+"""V of each packaged graph along its own run, at its own clock, as stated in `docs/explanation/proved.md`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import dmframe as dm
 
 PAGE: Final = Path(__file__).parents[3] / "docs/explanation/proved.md"
 CHEAP: Final = ("filtered_regulation_pid", "pd_torque", "pendulum", "ur10_camera")
-"""Runs of a second; the others take up to a minute together with what decides their conditions."""
+"""Runs of a second; the others, with the decision of their conditions, take up to a minute."""
 
 
 @cache
 def stated() -> dict[str, float]:
-    """By how much V rises, in percent of its fall, by graph."""
+    """Increase of V in percent of its decrease, by graph."""
     section = PAGE.read_text("utf-8").split("## V along a run")[1].split("\n## ")[0]
     rows = re.findall(r"^\| `(\w+)` \|[^|]*\|[^|]*\| ([\d.e-]+) \|", section, re.MULTILINE)
     (text,) = re.findall(r"graphs in continuous time \((.*?)\): V never rises", section, re.DOTALL)
@@ -30,7 +30,7 @@ def rises_as_stated(name: str) -> None:
     run = dm.load(name).run(judge=False)
     fraction = run.storage.along.climb.fraction
     assert fraction is not None
-    # two digits are stated; where a machine fuses multiplications the run differs by rounding
+    # two digits are stated; with fused multiplications the run differs by rounding
     assert 100 * fraction == pytest.approx(stated()[name], rel=0.06, abs=1e-6)
     assert bool(run.storage.notice) is (stated()[name] > 0 or bool(run.storage.along.jumps))
     assert run.storage.along.beyond == 0

@@ -1,4 +1,4 @@
-"""V as a signal of a run: its value, how far it rose, what is known of the reason, and where there is none."""
+"""V as a signal of a run: its value, its increase, the known reasons, and runs without V."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_dv_dt_as_it_is_claimed_is_the_slope_of_v_in_continuous_time(continuous:
     size = np.abs(rate).max()
     assert size > 0
     np.testing.assert_allclose(slope, rate[1:-1], atol=1e-3 * size)
-    assert np.abs(slope - 0.99 * rate[1:-1]).max() > 1e-3 * size  # a hundredth more of it would be seen
+    assert np.abs(slope - 0.99 * rate[1:-1]).max() > 1e-3 * size  # a change of one percent would be detected
 
 
 def test_where_v_falls_all_the_time_there_is_no_notice(continuous: dm.Run) -> None:
@@ -136,7 +136,7 @@ def test_a_step_of_the_load_is_no_rise_of_the_loop_and_its_jump_is_what_the_load
         added = mass * np.sum((J @ sigma) ** 2) + np.sum((estimate - after) ** 2 - (estimate - before) ** 2)
         assert jump.change == pytest.approx(kappa / 2 * added, rel=1e-6)
     raw = np.asarray(run["V"])
-    assert (raw - np.minimum.accumulate(raw)).max() > 0.1 * abs(first.change)  # V itself does rise
+    assert (raw - np.minimum.accumulate(raw)).max() > 0.1 * abs(first.change)  # V itself increases
     assert climb.rise == 0
     assert "steps of a source raised V by" in run.storage.notice
 
@@ -147,7 +147,7 @@ def test_rounding_of_the_states_moves_v_by_less_than_its_bound(sampled: dm.Run) 
         label: np.nextafter(rows, np.where(draw.random(rows.shape) < 0.5, -np.inf, np.inf))
         for label, rows in sampled.recording.states.items()
     }
-    assert (bound < 1e-9 * V).all()  # it hides nothing that would be seen
+    assert (bound < 1e-9 * V).all()  # it does not hide a detectable change
     moved = dm.Run(sampled.graph, replace(sampled.recording, states=states))
     assert np.all(np.abs(np.asarray(moved["V"]) - V) <= bound)
     assert np.any(np.asarray(moved["V"]) != V)

@@ -1,4 +1,4 @@
-"""The unit of V: derived from what blocks store, and none where V adds terms of several units."""
+"""The unit of V: derived from the blocks' storage functions, and none if V adds terms of several units."""
 
 from __future__ import annotations
 

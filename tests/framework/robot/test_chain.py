@@ -61,7 +61,7 @@ def check(error, kind, text, key):
     assert error.path == ("robot", key)
 
 
-# What a chain holds
+# Content of a chain
 
 
 def test_a_chain_keeps_its_free_joints_in_the_order_of_the_robot():
@@ -315,7 +315,7 @@ def test_the_friction_velocity_is_positive(velocity):
     check(error, ValueFault, text, "friction_velocity")
 
 
-# Models that no URDF could be
+# Models that no URDF can contain
 
 
 def model_with(joint_model, frame=True, inertia=None):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from dmframe.common.errors import DmframeError, MissingError, RobotError
+from dmframe.graph.first import first_graph
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.convert import read_any, written
 from dmframe.robot.flange import flange_of
@@ -40,7 +42,7 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", extra: str
 
 
 def arm(n: int = 4, end: str = "", without: tuple[int, ...] = ()) -> str:
-    """An arm of n joints, with more elements at its end."""
+    """An arm of n joints, with further elements at its end."""
     links = "".join(f'<link name="l{k}">{"" if k in without else INERTIAL}</link>' for k in range(n + 1))
     joints = "".join(joint(f"j{k}", f"l{k - 1}", f"l{k}") for k in range(1, n + 1))
     return f'<robot name="arm">{links}{joints}{end}</robot>'
@@ -78,7 +80,7 @@ def test_of_two_arms_none_is_chosen():
 
 
 def branch(name: str, n: int, start: str) -> str:
-    """A chain of n joints with its links, from a link of the arm on."""
+    """A chain of n joints with its links, starting from a link of the arm."""
     links = "".join(f'<link name="{name}{k}">{INERTIAL}</link>' for k in range(1, n + 1))
     return links + "".join(
         joint(f"to_{name}{k}", start if k == 1 else f"{name}{k - 1}", f"{name}{k}") for k in range(1, n + 1)
@@ -94,7 +96,7 @@ MIMIC = '<mimic joint="g1"/>'
         (4, branch("left", 3, "l0") + branch("right", 3, "l0"), "l4"),  # legs
         (4, branch("head", 2, "l1"), "l4"),
         (7, branch("thumb", 4, "l7") + branch("index", 4, "l7"), "l7"),  # a hand
-        (4, branch("head", 2, "l4") + branch("arm", 6, "l4"), "arm6"),  # no hand: six joints are no finger
+        (4, branch("head", 2, "l4") + branch("arm", 6, "l4"), "arm6"),  # no hand: six joints are not a finger
         (5, f'<link name="moving_jaw">{INERTIAL}</link>' + joint("gripper", "l5", "moving_jaw"), "l5"),
         (5, f'<link name="l6">{INERTIAL}</link>' + joint("roll", "l5", "l6"), "l6"),
         (
@@ -299,3 +301,22 @@ def test_a_fragment_of_an_mjcf_file_is_refused_without_lines_of_the_parser(tmp_p
     path.write_text("<mujoco><asset/></mujoco>")
     with pytest.raises(RobotError, match=r"cannot read this MJCF file: MJCF [\w :]+$"):
         read_any(path)
+
+
+def test_a_file_without_a_base_and_an_mjcf_file_with_a_missing_class_are_refused(tmp_path: Path) -> None:
+    macros = tmp_path / "macros.urdf"
+    for links, found in (
+        ("", "there is none"),
+        (
+            '<link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+            '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>',
+            "a",
+        ),
+    ):
+        macros.write_text(f'<robot name="r">{links}</robot>')
+        with pytest.raises(RobotError, match=found):
+            first_graph(str(macros), tmp_path)
+    mjcf = tmp_path / "arm.xml"
+    mjcf.write_text('<mujoco><worldbody><body childclass="none"><geom size="1"/></body></worldbody></mujoco>')
+    with pytest.raises(RobotError, match="refers to nothing"):
+        first_graph(str(mjcf), tmp_path)

@@ -52,7 +52,7 @@ def robot(folder: Path, mimic: str = MIMIC, second: str = "") -> Path:
 
 
 def masses_along_x(chain: SerialChain) -> float:
-    """The sum of mass times place of all that the one free joint carries."""
+    """The sum of mass times position of all links that the one free joint moves."""
     inertia = chain.model.inertias[1]
     return float(inertia.mass * inertia.lever[0])
 

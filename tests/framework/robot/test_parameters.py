@@ -1,4 +1,4 @@
-"""The dynamic parameters against Pinocchio: order, names, values, and the columns that belong to them."""
+"""The dynamic parameters compared with Pinocchio: order, names, values, and their columns."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PARTS = ("inertial", "weighing", "viscous", "coulomb", "bias")
 
 @pytest.fixture(scope="module")
 def chain() -> SerialChain:
-    """Two turning joints with a sliding one between them, and bodies of which no two parameters are alike."""
+    """Two revolute joints with a prismatic one in between, and bodies with all parameters different."""
     model, parent = pin.Model(), 0
     rng = np.random.default_rng(3)
     for i, joint in enumerate((pin.JointModelRZ(), pin.JointModelPY(), pin.JointModelRX())):
@@ -40,7 +40,7 @@ def whole(chain: SerialChain) -> DynamicParameters:
 
 
 def by_name(chain: SerialChain) -> dict[str, float]:
-    """Each inertial parameter from the mass, the centre and the central inertia that Pinocchio holds."""
+    """Each inertial parameter from the mass, the centre and the central inertia in Pinocchio."""
     found = {}
     for link, body in enumerate(list(chain.model.inertias)[1:], start=1):
         about = body.inertia - body.mass * pin.skew(body.lever) @ pin.skew(body.lever)
@@ -53,7 +53,7 @@ def by_name(chain: SerialChain) -> dict[str, float]:
 
 
 def misnamed(chain: SerialChain) -> list[str]:
-    """Parameters whose value, or whose column of the regressor, is not that of their name."""
+    """Parameters whose value, or whose column of the regressor, does not match their name."""
     a_d, expected = DynamicParameters(chain), by_name(chain)
     q, dq, ddq = np.random.default_rng(1).uniform(-1, 1, (3, chain.n))
     data = chain.model.createData()

@@ -1,4 +1,4 @@
-"""The natural gain of a body against its definition, its closed form, and what no change of frame may change."""
+"""The natural gain of a body compared with its definition and closed form, and its invariance to frames."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_it_is_the_inverse_of_the_metric_at_the_bodys_pseudo_inertia(seed: int) 
 
 
 def test_the_closed_form_of_one_link() -> None:
-    """A rod of mass m along x, thick enough to be a body: by hand, with Sigma its second moments about the joint."""
+    """A rod of mass m along x with finite thickness: by hand, with Sigma its second moments about the joint."""
     m, h, S_x, S_y = 2.0, 0.6, 0.3, 0.01
     phi = np.array([m, h, 0, 0, 2 * S_y, 0, S_x + S_y, 0, 0, S_x + S_y])
     found = gain(phi)

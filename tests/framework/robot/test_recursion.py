@@ -1,4 +1,4 @@
-"""Inverse dynamics repeated by CasADi, against the recursion in Python, operation by operation, and Pinocchio."""
+"""Inverse dynamics repeated by CasADi, compared with the recursion in Python, operation by operation, and Pinocchio."""
 
 from __future__ import annotations
 

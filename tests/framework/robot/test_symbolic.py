@@ -1,4 +1,4 @@
-"""Every quantity against Pinocchio, on packaged robots and on random chains; the structural identities exactly."""
+"""Every quantity compared with Pinocchio, on packaged robots and random chains; structural identities exactly."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def symbols(n):
 
 
 def evaluate(robot, build, *arguments, extra=()):
-    """The value of an expression of (q, dq, dq_ref, ddq_ref) at numbers, the robot's constants at theirs."""
+    """Value of an expression of (q, dq, dq_ref, ddq_ref) at numbers, with the robot's own constants."""
     given_symbols = symbols(robot.n)[: len(arguments)]
     f = ca.Function("f", [*given_symbols, *(c.symbol for c in robot.constants), *extra], [build(*given_symbols)])
     numbers = robot.values()
@@ -59,7 +59,7 @@ def close(found, expected, tolerance=1e-10):
 
 
 def oracle_regressor(chain, q, dq, dq_ref, ddq_ref):
-    """The Slotine-Li regressor by polarising Pinocchio's."""
+    """The Slotine-Li regressor by polarisation of Pinocchio's."""
     configuration, zero = pin_configuration(chain, q), np.zeros(chain.n)
 
     def Y(velocity, acceleration):
@@ -229,7 +229,7 @@ def test_the_regressor_times_the_parameters_is_the_torque_for_any_parameters(cha
 
 
 def identically_zero(robot, expression, *names):
-    """Whether an expression vanishes for every q, velocity and inertia, the geometry being the robot's."""
+    """True if an expression vanishes for every q, velocity and inertia, with the robot's geometry."""
     fixed = {c.name: c.values for c in robot.constants if not c.name.endswith(("inertia", "friction_velocity"))}
     inputs = [*names, *(c.symbol for c in robot.constants)]
     labels = [*(f"free{i}" for i in range(len(names))), *(c.name for c in robot.constants)]

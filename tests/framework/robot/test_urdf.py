@@ -1,4 +1,4 @@
-"""Numbers of a URDF: what is malformed is fault_of_file with its line, and never read as another robot."""
+"""Numbers of a URDF: malformed text is a fault with its line, and is never read as another robot."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_white_space_that_pinocchio_would_not_take_is_written_as_a_blank(
 
 
 def attributes(root: ElementTree.Element) -> list[tuple[ElementTree.Element, str]]:
-    """Attributes that hold numbers, found by their looks and not by their names."""
+    """Attributes that contain numbers, found by their text and not by their names."""
     number = re.compile(r"\s*[-+0-9.eE]+(\s+[-+0-9.eE]+)*\s*")
     return [
         (element, key) for element in root.iter() for key, value in element.attrib.items() if number.fullmatch(value)
@@ -253,7 +253,7 @@ def test_a_mistyped_number_is_an_error_or_the_same_number(tmp_path: Path, robot:
         except RobotError:
             refused += 1
             continue
-        # what was not refused is a number still, by an independent reader, or nothing that the robot is made of
+        # accepted text is a number for an independent reader too, or does not define the robot
         assert is_numbers(element.attrib[key]) or model == original, (element.tag, element.attrib[key])
     assert refused > 3
 
@@ -273,5 +273,5 @@ def test_a_reader_that_drops_an_inertia_is_caught(monkeypatch: pytest.MonkeyPatc
         return model
 
     monkeypatch.setattr(pin, "buildModelFromXML", dropping)
-    assert urdf.read_urdf  # the module imports Pinocchio when it reads, so that the seeded fault is in the way
+    assert urdf.read_urdf  # the module imports Pinocchio when it reads, so the seeded fault would be in the way
     assert "fixed to it differs from the file" in fault_of_file(find_robot("arm2").urdf)

@@ -108,7 +108,7 @@ def tuned(engine: Any) -> Controller:
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
-def test_a_sample_that_is_not_finite_is_refused_and_spoils_nothing(engine: Any, bad: float) -> None:
+def test_a_sample_that_is_not_finite_is_refused_without_effect(engine: Any, bad: float) -> None:
     controller = tuned(engine)
     good = {label: np.full_like(array, 0.1) for label, array in controller.measured.items()}
     for label, value in good.items():

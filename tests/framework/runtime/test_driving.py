@@ -1,4 +1,4 @@
-"""The loop: how a drive begins, how it ends, and the calls of the driver."""
+"""The real-time loop: start and end of a drive, and the calls of the driver."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_at_its_end_the_robot_is_stopped_and_let_go() -> None:
         (standing(1, time=0.04, dq=np.full(3, 1e308))[0], "controller: a command or a state is not finite"),
     ],
 )
-def test_what_goes_wrong_is_named_and_the_robot_is_stopped(fault: Any, message: str) -> None:
+def test_each_fault_is_named_and_the_robot_is_stopped(fault: Any, message: str) -> None:
     found, robot = ended([*standing(5), fault, *standing(20)])
     assert str(found.stop) == message
     assert robot.calls[-2:] == [("stop", 2.0 if message.startswith("requested") else 20.0), "close"]
@@ -123,13 +123,13 @@ def test_it_is_moved_to_the_start_first_and_the_controller_begins_there() -> Non
     assert robot.calls == ["connect", "close"]
 
 
-def test_a_robot_that_starts_elsewhere_goes_to_the_start_and_then_runs_as_ever() -> None:
+def test_a_robot_at_another_pose_moves_to_the_start_and_then_runs_as_usual() -> None:
     q = (Q + 0.05).tolist()
     robot = simulated(graph(), start={"arm.q": q, "servo.q_c": q})
     found = driven(graph(), robot, 60, start=Q)
     assert found.stop is None
     assert found.journal["time"][0] == found.journal["reference"][0] == 0
-    np.testing.assert_allclose(found.journal["q"][0], Q, atol=5e-3)  # friction holds its servo a little off
+    np.testing.assert_allclose(found.journal["q"][0], Q, atol=5e-3)  # friction holds its servo slightly off
     run = graph().run("0.48 s", engine="interpreted", progress=False).recording
     np.testing.assert_allclose(found.journal["command"], run["inverse.dq_c"], atol=0.01)
 
@@ -159,7 +159,7 @@ def test_a_ramp_keeps_the_start_below_an_acceleration_that_it_would_else_pass() 
     assert soft.journal["scale"][0] == pytest.approx(0.05)
     assert soft.journal["scale"][-1] == 1
     assert soft.journal["reference"][-1] == pytest.approx(40 * 0.008, abs=0.009)
-    assert soft.journal["time"][-1] == pytest.approx(40 * 0.008 + 0.08, abs=0.01)  # half of the ramp is spent
+    assert soft.journal["time"][-1] == pytest.approx(40 * 0.008 + 0.08, abs=0.01)  # half of the ramp has passed
 
 
 class Hidden:
@@ -176,7 +176,7 @@ class Hidden:
 
 
 def missed(found: DriveResult) -> float:
-    """How far the tool is from its path, the circle of the graph, in the second half [m]."""
+    """Largest distance of the tool from its path, the circle of the graph, in the second half [m]."""
     x = found.journal["x"]
     offset = np.hypot(x[:, 0] + 0.07, x[:, 1] - 0.67) - 0.15
     return float(np.sqrt(np.mean(offset[len(x) // 2 :] ** 2)))
@@ -220,7 +220,7 @@ def test_a_robot_at_rest_is_waited_for() -> None:
 
 
 class Walker(Script):
-    """Goes to its start in ten samples of its own, and stops there on request."""
+    """Moves to its start in ten samples, and stops there on request."""
 
     def __init__(self, samples: list[Any], way: list[Sample]) -> None:
         super().__init__(samples)
@@ -272,7 +272,7 @@ def test_the_gate_watches_the_way_to_the_start(changed: dict[str, Any], message:
     found, robot = walked(way, held=held)
     assert str(found.stop) == message
     assert robot.calls == ["connect", *["way"] * 4, ("stop", 20.0), "close"]
-    found, robot = walked(standing(10, missed=99), held=held)  # the robot goes by itself
+    found, robot = walked(standing(10, missed=99), held=held)  # the robot moves by its own program
     assert found.stop is None
 
 
@@ -286,11 +286,11 @@ def test_a_drive_does_not_begin_beyond_a_limit(start: np.ndarray | None) -> None
     assert robot.calls == ["connect", ("stop", 20.0), "close"]
 
 
-def test_a_clock_that_continues_after_a_stop_has_lost_nothing() -> None:
+def test_a_clock_that_continues_after_a_stop_has_lost_no_sample() -> None:
     samples = standing(21)
     twice = [sample for sample in samples[:20] for _ in range(2)]
     found, robot = ended([*twice, samples[20]])  # each sample twice
     assert found.stop is None
     assert len(robot.calls) == 20 + 3
-    found, _ = ended([*samples[:4], *[samples[3]] * 5, *samples[4:]])  # as often as may be
+    found, _ = ended([*samples[:4], *[samples[3]] * 5, *samples[4:]])  # as often as possible
     assert found.stop is None

@@ -1,4 +1,4 @@
-"""Each rule of the gate, with a fault that it catches and with what it lets through."""
+"""Each rule of the gate, with a fault that it blocks and a command that it passes."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_command_within_all_limits_passes_bit_by_bit() -> None:
 def test_a_command_that_is_not_finite_stops(bad: float) -> None:
     out, stop = sent([0.1, bad])
     assert stop.startswith("command not finite: [0.1, ")
-    assert np.isnan(out).all()  # nothing was written that could be sent
+    assert np.isnan(out).all()  # no command was written that could be sent
 
 
 def test_a_command_far_above_a_speed_limit_stops_and_one_above_is_scaled_in_its_direction() -> None:
@@ -112,7 +112,7 @@ def test_commands_change_as_fast_as_the_acceleration_allows() -> None:
 
 
 def travel(gate: Gate, rng: np.random.Generator) -> np.ndarray:
-    """Where a robot comes that does what the gate lets through, of a controller that pushes at the limits."""
+    """Final state of a robot that executes the output of the gate, for a controller that pushes at the limits."""
     q, visited = np.zeros(2), list[np.ndarray]()
     out = np.zeros(2)
     for k in range(3000):
@@ -130,7 +130,7 @@ def test_no_joint_passes_its_limits_whatever_the_controller_commands(limits: Lim
     visited = travel(Gate(limits, T), np.random.default_rng(0))
     assert (visited >= limits.lower - 1e-9).all()
     assert (visited <= limits.upper + 1e-9).all()
-    assert visited.max() > 1.5  # it did come near
+    assert visited.max() > 1.5  # it came close
 
 
 def test_without_the_rule_of_joint_limits_they_are_passed() -> None:

@@ -1,4 +1,4 @@
-"""A graph's own robot behind the protocol of a driver is the simulation's."""
+"""A graph's own robot behind a driver's interface equals the simulation."""
 
 from __future__ import annotations
 

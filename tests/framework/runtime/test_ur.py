@@ -1,4 +1,4 @@
-"""The driver for arms of Universal Robots, byte by byte against a stand-in that answers as the maker's guide says."""
+"""The driver for Universal Robots arms, byte by byte with a test double that follows the manufacturer's guide."""
 
 from __future__ import annotations
 
@@ -145,10 +145,10 @@ def test_a_drive_follows_stops_and_releases_control() -> None:
     assert found.stop is None
     assert [script.split("(")[0] for script in arm.scripts] == ["def dmframe_follow"]
     beats = [row[0] for row in arm.written]
-    assert beats == list(range(1, 1 + len(beats)))  # none that could be an echo of what was there
+    assert beats == list(range(1, 1 + len(beats)))  # none that could be an echo of an earlier output
     assert arm.written[-1][1:] == (0, 0, 0, 0, 0, 0, 0, 2.0)  # end at rest, with this deceleration
     np.testing.assert_array_equal([row[2:5] for row in arm.written[2:-1]], found.journal["sent"][:-1])
-    assert all(row[5:8] == (0, 0, 0) for row in arm.written)  # the joints that the graph holds
+    assert all(row[5:8] == (0, 0, 0) for row in arm.written)  # the joints that the graph fixes
     assert arm.values["runtime_state"] == 1
     assert arm.closed == 1
     x = found.journal["x"]
@@ -342,7 +342,7 @@ def test_on_its_way_it_ends_where_what_watches_reports_it() -> None:
     at.connect()
     monitored = at._upload
 
-    def upload(script: str) -> None:  # an arm that stays where it is
+    def upload(script: str) -> None:  # an arm that does not move
         held = arm.values["target_q"], arm.values["actual_q"]
         monitored(script)
         arm.values["target_q"], arm.values["actual_q"] = held

@@ -1,6 +1,6 @@
-"""The driver for arms of UFACTORY against a stand-in with the calls of the maker's package, and its reports.
+"""The driver for UFACTORY arms with a test double of the manufacturer's package, and its reports.
 
-Where the package is installed, the stand-in's calls are compared with its signatures and the reports to its own reader.
+If the package is installed, the double's calls are compared with its signatures, and the reports with its own reader.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def graph_of(folder: Path, clock: str) -> dm.Graph:
 
 
 def report(time: float, state: int, mode: int, q_c: Any, q: Any, dq: Any, more: int = 0) -> bytes:
-    """As the maker's page has it: whole numbers with the large end first, others with the small."""
+    """In the format of the manufacturer: whole numbers big-endian, others little-endian."""
     size = 784 + more
     head = struct.pack(">IQBH17x", size, round(time * 1e6), state | mode << 4, 0)
     joints = b"".join(struct.pack("<7f", *numbers) for numbers in (q_c, dq, np.zeros(7), q, dq, np.zeros(7)))
@@ -119,7 +119,7 @@ class Arm:
             self.q = self.q + 0.005 * self.dq
         self.pending += report(self.time, self.state, self.mode, self.q, self.q, self.dq)
 
-    # what stands for the port of reports
+    # the test double of the port of reports
 
     def receive(self, patience: float) -> bytes:
         if patience > 0 and not self.silent and not self.pending:
@@ -153,8 +153,8 @@ def test_a_drive_follows_stops_and_releases_control(graph: dm.Graph) -> None:
     assert arm.calls[-1] == ("set_state", 4)
     sent = np.array([row[1] for row in velocities(arm)])
     np.testing.assert_array_equal(sent[:100][:, [0, 1, 3]], found.journal["sent"][:100])
-    assert not sent[:, [2, 4, 5, 6]].any()  # the joints that the graph holds
-    assert {row[2] for row in velocities(arm)} == {0.025}  # it comes to rest by itself
+    assert not sent[:, [2, 4, 5, 6]].any()  # the joints that the graph fixes
+    assert {row[2] for row in velocities(arm)} == {0.025}  # it stops by itself
     assert np.max(np.abs(np.diff(sent[100:], axis=0))) <= 2.0 * 0.005 + 1e-12
     assert not sent[-1].any()
     assert arm.closed == 2

@@ -1,4 +1,4 @@
-"""Compiled and interpreted engines give the same numbers to rounding, whatever the graph."""
+"""Compiled and interpreted engines give the same numbers up to rounding, for all graphs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def ran(name: str, engine: Any, duration: float, **options: Any) -> Recording:
 
 
 def difference(one: Recording, other: Recording) -> float:
-    """The largest over all signals, relative to each one's size."""
+    """The largest over all signals, relative to each signal's size."""
     worst = 0.0
     for kind in ("states", "outputs"):
         first, second = getattr(one, kind), getattr(other, kind)
@@ -98,7 +98,7 @@ def test_the_error_by_eighths_hardly_changes_with_what_is_kept() -> None:
     assert whole is not None
     assert some is not None
     assert len(some.norm) == 801
-    # the first holds a transient of a few kept instants
+    # the first contains a transient of a few recorded instants
     np.testing.assert_allclose(some.rms_by_eighth[1:], whole.rms_by_eighth[1:], rtol=0.01)
 
 

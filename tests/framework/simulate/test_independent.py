@@ -1,4 +1,4 @@
-"""The closed loops once more in plain NumPy, Pinocchio and SciPy, sharing no equation with the framework."""
+"""The closed loops in plain NumPy, Pinocchio and SciPy, independent of the framework's equations."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Robot:
         return np.array(pin.getFrameJacobian(self.model, self.data, self.tool, pin.LOCAL_WORLD_ALIGNED)[:3])
 
     def regressor(self, q: Array, dq: Array, v: Array, a: Array) -> Array:
-        """Of M a + C(q, dq) v + g, the products of two velocities polarised."""
+        """M a + C(q, dq) v + g, with polarised products of two velocities."""
 
         def Y(dq: Array, ddq: Array) -> Array:
             return np.array(pin.computeJointTorqueRegressor(self.model, self.data, q, dq, ddq))
@@ -79,7 +79,7 @@ K_D, K_P, K_I = np.array([800.0, 800, 400]), np.array([1760.0, 1760, 880]), np.a
 
 @dataclass(frozen=True)
 class Experiment:
-    """One of Section V, with its path and the paper's gains."""
+    """One experiment of Section V, with its path and the paper's gains."""
 
     T: float
     q_0: tuple[float, float, float]
@@ -135,7 +135,7 @@ def to_rounding(robot: Robot, plant: Array, dq_c: Array, T: float) -> Array:
 
 
 def runge_kutta(robot: Robot, plant: Array, dq_c: Array, T: float) -> Array:
-    """The same in steps of 2 ms: quick; friction at rest is stiff, so that the figures are good to some thousandths."""
+    """The same in steps of 2 ms: fast; friction at rest is stiff, so the figures are accurate to some thousandths."""
     count = round(T / 2e-3)
     h = T / count
     for _ in range(count):
@@ -149,7 +149,7 @@ def runge_kutta(robot: Robot, plant: Array, dq_c: Array, T: float) -> Array:
 
 @cache
 def sampled(case: Experiment, form: str, ticks: int, advance: Plant = to_rounding) -> dict[str, Array]:
-    """An experiment by hand: Euler for the controller; `form` is kinematic, or what the PID law ties, (32) or (34)."""
+    """An experiment by hand: Euler for the controller; `form` is kinematic, or the PID form (32) or (34)."""
     hold = {"wrist_1_joint": 0.0, "wrist_2_joint": -np.pi / 2, "wrist_3_joint": 0.0}
     robot = Robot.load("ur10", "ee_link", hold, [5, 5, 2], [8, 8, 4])
     T, K_c, Lambda, Gamma, q = case.T, case.K_c, 0.01, 1.0, np.array(case.q_0)
@@ -160,9 +160,9 @@ def sampled(case: Experiment, form: str, ticks: int, advance: Plant = to_roundin
     for k in range(ticks + 1):
         q, dq, q_c, _ = plant.reshape(4, 3)
         first, second = reference(robot, case, k * T, q, dq)
-        if form == "velocity":  # (32): q_r follows the generator, dq_r* = dq_r - K_c (q - q_r)
+        if form == "velocity":  # (32): q_r is the integral of dq_r of the generator, dq_r* = dq_r - K_c (q - q_r)
             dq_r, dq_ref, ddq_ref = first, first - K_c * (q - q_r), second - K_c * (dq - first)
-        else:  # (34): dq_r* is the generator's, and q_r follows dq_r* + K_c (q - q_r)
+        else:  # (34): dq_r* is the generator's, and q_r is the integral of dq_r* + K_c (q - q_r)
             dq_r, dq_ref, ddq_ref = first + K_c * (q - q_r), first, second
         Y = np.hstack([robot.regressor(q, dq, dq_ref, ddq_ref), np.diag(dq_ref), np.diag(np.tanh(dq_ref / V_0))])
         tau_dc, sigma = Y @ a, dq - dq_ref
@@ -194,7 +194,7 @@ def run(name: str, method: str) -> Recording:
 @pytest.mark.parametrize(("form", "name"), [("velocity", "ur10_fast"), ("position", "ur10_fast_tied_position")])
 def test_the_adaptive_loop_on_the_ur10_is_the_one_written_by_hand(form: str, name: str) -> None:
     mine, theirs = sampled(FAST, form, TICKS), run(name, "cvodes")
-    assert np.max(np.linalg.norm(mine["x"] - mine["x"][0], axis=1)) > 0.1  # it does move
+    assert np.max(np.linalg.norm(mine["x"] - mine["x"][0], axis=1)) > 0.1  # the robot moves
     np.testing.assert_allclose(theirs["arm.x"], mine["x"], atol=2e-9)
     np.testing.assert_allclose(theirs["inverse.dq_c"], mine["dq_c"], atol=2e-7)
     np.testing.assert_allclose(theirs["dynamics.tau_dc"], mine["tau_dc"], atol=1e-7)
@@ -225,7 +225,7 @@ def test_the_kinematic_loop_on_the_ur10_is_the_one_written_by_hand() -> None:
 def test_the_experiment_has_the_figure_of_the_loop_by_hand(
     case: Experiment, form: str, name: str, quoted: float, seconds: int
 ) -> None:
-    """Over the first tenth, the fast one also whole; the figures that are quoted are those of 200 s."""
+    """Over the first tenth, the fast one also over the whole time; the quoted figures are those of 200 s."""
     ticks = round(seconds / case.T)
     mine, graph = sampled(case, form, ticks, runge_kutta), Graph.read(name)
     theirs = simulate(graph.diagram, 200.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
@@ -258,7 +258,7 @@ blocks:
 
 
 def continuous(times: Array) -> Array:
-    """Tracking at the joints through a PI servo, all of it one differential equation; x = (q, dq, ...)."""
+    """Joint tracking with a PI servo as one differential equation; x = (q, dq, ...)."""
     robot = Robot.load("arm2", "tool", {}, [1, 0.5], [0, 0])
     K, K_P, K_I = np.array([1.2, 0.9]), np.array([60.0, 30]), np.array([240.0, 120])
     middle, swing, rate_d, phase = np.array([0.8, 1]), np.array([0.5, 0.7]), np.array([0.9, 1.4]), np.array([0.1, 0.4])
@@ -297,4 +297,4 @@ def test_the_continuous_loop_on_a_planar_arm_is_one_differential_equation_of_sci
     np.testing.assert_allclose(theirs["servo.i"], mine[:, 6:8], atol=1e-8)
     np.testing.assert_allclose(theirs["inverse.w"], mine[:, 10:12], atol=1e-8)
     np.testing.assert_allclose(theirs["inverse.w_I"], mine[:, 12:14], atol=1e-8)
-    assert np.max(np.abs(mine[-1, 14:])) > 0.01  # it does adapt
+    assert np.max(np.abs(mine[-1, 14:])) > 0.01  # adaptation is active

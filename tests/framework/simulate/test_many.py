@@ -1,4 +1,4 @@
-"""A batch is its single runs, in their order, whatever becomes of each."""
+"""A batch equals its single runs, in their order, for any outcome of each run."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_no_threads_are_too_few() -> None:
 
 
 class Plain(AbstractBlock):
-    """dx = -k x from x = c, with k or c read as a number where `numeric` names it."""
+    """dx = -k x from x = c, with k or c read as a number if `numeric` names it."""
 
     side = Side.PLANT
     outputs = (Output("x", "n"),)
@@ -176,7 +176,7 @@ def test_a_leak_pulls_back_to_the_start_that_the_variant_has() -> None:
 
 def test_a_gain_that_follows_from_another_block_follows_it() -> None:
     class Model(AbstractBlock):
-        """Says how large errors may be."""
+        """Declares the size of its errors."""
 
         side = Side.PLANT
         outputs = (Output("y", "n"),)

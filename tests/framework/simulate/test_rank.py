@@ -1,4 +1,4 @@
-"""A run reports how close a Jacobian came to losing its rank."""
+"""A run reports the minimum distance of a Jacobian from rank loss."""
 
 from __future__ import annotations
 

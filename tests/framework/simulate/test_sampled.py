@@ -1,4 +1,4 @@
-"""Sampled states, the period, what is drawn and jitter: against recursions by hand and python-control."""
+"""Sampled states, the period, random numbers and jitter: compared with recursions by hand and python-control."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ T = 0.05
 
 
 class SampledPi(AbstractBlock):
-    """v = -2 y - i, i+ = i + T y: in sampled time."""
+    """v = -2 y - i, i+ = i + T y: in discrete time."""
 
     inputs = (Input("y_m"), PERIOD)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -52,7 +52,7 @@ class Emulated(AbstractBlock):
 
 
 class Delay(AbstractBlock):
-    """Hands on the command of one sample ago."""
+    """Outputs the command of the previous sample."""
 
     side = Side.PLANT
     inputs = (Input("v"),)
@@ -102,7 +102,7 @@ def test_a_sampled_law_and_a_delay_in_the_plant_move_as_in_python_control(engine
 
     run = simulate(loop(), 2.0, clock=T, solver=Solver(step=T / 10), engine=engine)
     cart = control.c2d(control.ss([[-0.5]], [[1.0]], [[1.0]], [[0.0]]), T, "zoh")
-    # states (i, late, y): the law's integral, the command of one sample ago, the cart
+    # states (i, late, y): the law's integral, the command of the previous sample, the cart
     A = np.array([[1, 0, T], [-1, 0, -2], [0, cart.B[0, 0], cart.A[0, 0]]])
     x, found = np.array([0.3, 0.0, 1.0]), []
     for _ in run.time:
@@ -184,28 +184,28 @@ def test_a_block_at_numbers_gives_its_next_values() -> None:
 
 
 class Wrong(SampledPi):
-    """States a rate where it declares a sampled state."""
+    """States a rate although it declares a sampled state."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"v": -u.y_m}, rates={"i": u.y_m})
 
 
 class WrongToo(Emulated):
-    """States a next value where it declares a state in continuous time."""
+    """States a next value although it declares a state in continuous time."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"v": -u.y_m}, next={"i": u.y_m})
 
 
 class Drawing(Emulated):
-    """Draws an input from what is no distribution; an `Output` has no such field."""
+    """Draws an input from an invalid distribution; an `Output` has no such field."""
 
     inputs = (Input("y_m"), Input("n", drawn="norml"))
     outputs = (Output("v", access=Access.COMMANDED),)
 
 
 class Restless(AbstractBlock):
-    """Moves with no memory, differently at each evaluation."""
+    """Moves without memory, differently at each evaluation."""
 
     inputs = (Input("y_m"),)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -218,7 +218,7 @@ class Restless(AbstractBlock):
 
 
 class Differentiating(AbstractBlock):
-    """Wants the derivative of what is measured with noise, and of a sampled state."""
+    """Requires the derivative of a noisy measurement, and of a sampled state."""
 
     side = Side.PLANT
     inputs = (Input("v_late"), Input("dv_late", derivative_of="v_late"))
@@ -308,7 +308,7 @@ def test_proofs_and_analyses_in_continuous_time_state_that_they_do_not_reach_it(
 
 
 class LateCommand(AbstractBlock):
-    """The velocity command of one sample ago; it claims to store nothing."""
+    """The velocity command of the previous sample; it declares no storage."""
 
     side = Side.PLANT
     inputs = (Input("dq_c", "n", "rad/s"),)

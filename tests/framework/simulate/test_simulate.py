@@ -1,4 +1,4 @@
-"""Ticks, integrators, projection, divergence and interruption, on plants small enough to compute by hand."""
+"""Samples, integrators, projection, divergence and interruption, on plants that can be computed by hand."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Push(AbstractBlock):
 
 
 class Adapter(AbstractBlock):
-    """v = z + r - y, dz = r - 2 y, z kept in a box."""
+    """v = z + r - y, dz = r - 2 y, with z in a box."""
 
     inputs = (Input("r", "", ""), Input("y", "", ""))
     outputs = (Output("v", "", "", Access.COMMANDED),)
@@ -56,7 +56,7 @@ class Integrator(AbstractBlock):
 
 
 class Alone(AbstractBlock):
-    """A plant by itself, dy = rate(t, y)."""
+    """A plant without a controller, dy = rate(t, y)."""
 
     side = Side.PLANT
     inputs = (TIME,)
@@ -73,14 +73,14 @@ class Pendulum(Alone):
 
 
 class Escape(Alone):
-    """The second element is 1 / (1 - t): it leaves at t = 1."""
+    """The second element is 1 / (1 - t): it diverges at t = 1."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y": x.y}, rates={"y": ca.vertcat(0, x.y[1] * x.y[1])})
 
 
 class Doubling(Alone):
-    """Grows by e^(1000 t): past every finite number after 0.7 s."""
+    """Grows by e^(1000 t): beyond every finite number after 0.7 s."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y": x.y}, rates={"y": ca.vertcat(0, 1000 * x.y[1])})
@@ -150,12 +150,12 @@ def test_a_projected_state_stays_in_its_box_and_leaves_its_end_when_the_rate_tur
     run = simulate(toy(z_box=(0.2, 0.55)), 4.0, clock=clock, solver=Solver(output=0.05))
     free = simulate(toy(), 4.0, clock=clock, solver=Solver(output=0.05))
     z = run["law.z"].ravel()
-    assert free["law.z"].min() < 0.2  # the box does act
+    assert free["law.z"].min() < 0.2  # the box is active
     assert z.min() == 0.2
     assert z.max() <= 0.55
     rate = (run["push.r"] - 2 * run["cart.y"]).ravel()
     held, left = (z[:-1] == 0.2) & (z[1:] == 0.2), (z[:-1] == 0.2) & (z[1:] > 0.2)
-    slack = 0 if clock else 0.1  # in continuous time the rate may turn within a tick
+    slack = 0 if clock else 0.1  # in continuous time the rate may change its sign within a sample
     assert np.all(rate[:-1][held] <= slack)
     assert np.all(rate[:-1][left] > -slack)
     assert held.sum() > 5

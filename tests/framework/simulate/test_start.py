@@ -1,4 +1,4 @@
-"""Where a run begins: at rest, on the path, gravity held, commands where the robot is."""
+"""Initial state of a run: at rest, on the path, gravity compensated, commands at the robot's position."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_pose_out_of_reach_or_of_the_limits_is_refused(tmp_path: Path) -> None
 
 
 class Follower(AbstractBlock):
-    """Starts where what drives it starts."""
+    """Starts at the initial value of its input."""
 
     side = Side.PLANT
     inputs = (Input("a"),)
@@ -166,7 +166,7 @@ def test_starts_that_depend_on_one_another_are_reported() -> None:
 
 
 def test_a_goal_of_the_joints_needs_no_search_and_is_what_scipy_finds(tmp_path: Path) -> None:
-    """A search in which SciPy's least squares look for the pose, as they do for a goal of a task."""
+    """A search in which SciPy's least squares compute the pose, as for a goal of a task."""
     from scipy.optimize import least_squares
 
     diagram, made = graph(tmp_path).diagram, dict[Any, Any]()

@@ -1,4 +1,4 @@
-"""ros34pw2: its order on smooth and stiff plants, against closed forms, SciPy and cvodes; when it is chosen."""
+"""ros34pw2: its order on smooth and stiff plants, compared with closed forms, SciPy and cvodes; its selection."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PANDA = ["arm.coulomb=[6, 6, 6, 6, 1.3, 1.3, 1.34]"]
 
 
 class Plant(AbstractBlock):
-    """A plant by itself, dy = rate(t, y)."""
+    """A plant without a controller, dy = rate(t, y)."""
 
     side = Side.PLANT
     inputs = (TIME,)
@@ -43,7 +43,7 @@ class StableLinear(Plant):
 
 
 class Chasing(Plant):
-    """y chases sin t, as Prothero and Robinson's does, by a pull that is not linear; from y = 0 on it is sin t."""
+    """y tracks sin t, as in Prothero and Robinson's problem, with a nonlinear rate; from y = 0 on it is sin t."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         behind = ca.sin(u.t) - x.y
@@ -60,14 +60,14 @@ class VanDerPol(Plant):
 
 
 class Late(Plant):
-    """dy = -k(t) y, with k from 0 up to `speed`: stiff later than at the start."""
+    """dy = -k(t) y, with k from 0 up to `speed`: stiffer later than at the start."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y": x.y}, rates={"y": -p.speed * ca.tanh(u.t) * x.y})
 
 
 class Singular(Plant):
-    """At steps of `speed` the first pivot of I - h gamma A is zero, though the matrix is regular."""
+    """With steps of `speed` the first pivot of I - h gamma A is zero, though the matrix is regular."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         gamma = 4.3586652150845900e-01
@@ -76,7 +76,7 @@ class Singular(Plant):
 
 
 class Square(AbstractBlock):
-    """dx = -k |x|^2 x, of which a Jacobian is slow: it is left out of what ros34pw2 solves for."""
+    """dx = -k |x|^2 x, with an expensive Jacobian: ros34pw2 omits it."""
 
     side = Side.PLANT
     outputs = (Output("x", "40", "", Access.MEASURED),)
@@ -88,7 +88,7 @@ class Square(AbstractBlock):
 
 
 class Spring(AbstractBlock):
-    """x'' = -k |x|^2 x: steep in the positions alone, by a product, with a slow Jacobian."""
+    """x'' = -k |x|^2 x: stiff in the positions only, by a product, with an expensive Jacobian."""
 
     side = Side.PLANT
     outputs = (Output("y", "40", "", Access.MEASURED),)
@@ -125,7 +125,7 @@ def test_it_converges_with_the_third_order_on_a_smooth_plant(clock: float | None
     ).y[:, -1]
 
     def error(step: float) -> float:
-        # the last instant that is kept is that of the last tick's begin
+        # the last recorded instant is that of the last sample's begin
         run = simulate(
             alone(StableLinear()),
             4.4,
@@ -222,7 +222,7 @@ def test_a_panda_of_h_lambda_46_is_run_compiled_where_rk4_cannot_and_cvodes_is_i
 
     exact, plain, chosen = run(Solver("cvodes", tolerance=1e-10)), run(Solver(step=1e-3)), run(Solver())
     assert "at rest h |lambda| = 46." in plain.notices[0]
-    assert np.max(np.abs(plain["arm.q"] - exact["arm.q"])) > 1e-3  # friction is bounded: it chatters, and goes on
+    assert np.max(np.abs(plain["arm.q"] - exact["arm.q"])) > 1e-3  # friction is bounded: it chatters, and continues
     assert (chosen.engine, chosen.solver) == ("compiled", Solver("ros34pw2", 5e-4))
     assert chosen.notices == (
         "the plant is stiff: rk4 would take steps of 48 µs; ros34pw2 is used, with steps of 500 µs",

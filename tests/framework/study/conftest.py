@@ -51,7 +51,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def finish() -> Callable[..., State]:
-    """Go on with a study in this process, whichever processes it began in."""
+    """Continue a study in this process, for any executor with which it began."""
 
     def finished(study: Any, out: Path) -> State:
         return run_study(study, out, executor=InProcess(study))
@@ -61,13 +61,13 @@ def finish() -> Callable[..., State]:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made but not drawn, which takes most of a report's time: for tests that read its words alone."""
+    """Figures are made but not drawn, which takes most of a report's time: for tests that read only the words."""
     without_drawing(monkeypatch)
 
 
 @pytest.fixture(scope="module")
 def undrawn_page() -> Callable[[Callable[[], Path]], Path]:
-    """The same around one page that several tests read."""
+    """The same for one page that several tests read."""
 
     def made(page: Callable[[], Path]) -> Path:
         with pytest.MonkeyPatch.context() as patch:
@@ -89,7 +89,7 @@ def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def study(arm: Path) -> Make:
-    """Makes a study of the arm from what stands below its first two lines."""
+    """Makes a study of the arm from the text below its first two lines."""
 
     def make(text: str, **options: Any) -> Study:
         file = arm.with_name("study.yaml")

@@ -1,4 +1,4 @@
-"""How runs are cut into chunks: each run once, in chunks of some seconds, and never anew."""
+"""Division of runs into chunks: each run once, in chunks of some seconds, and never repeated."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def runs(found: list[Chunk]) -> Counter[tuple[int, int]]:
 
 
 def of(run: float, point: float = 0.0, first: float = 3.0) -> Seconds:
-    """A model of the time: so much a run, a point, and the first time to compile."""
+    """A model of the time: per run, per point, and for the first compilation."""
     count = 0
 
     def seconds(extent: Extent) -> float:

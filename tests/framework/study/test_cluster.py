@@ -1,4 +1,4 @@
-"""Workers of a dask scheduler, by their own command lines: whichever is killed, nothing is lost or computed twice."""
+"""Workers of a dask scheduler, by their own command lines: after a kill no result is lost or computed twice."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ QUIET = {"DASK_DISTRIBUTED__DASHBOARD__LINK": "", "DASK_DISTRIBUTED__WORKER__DAE
 
 @contextmanager
 def started(*words: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """A dask command line; at the end it and what it has started are ended."""
+    """A dask command line; at the end it and its children are stopped."""
     process = subprocess.Popen(
         [sys.executable, "-m", "dask", *words],
         stdout=subprocess.DEVNULL,
@@ -65,7 +65,7 @@ def test_workers_client_and_scheduler_are_killed_one_after_another(
         stack.enter_context(started(*words, folder=tmp_path))
         first = client(out, gates, scheduler=place)
         with gate(gates, "0-8") as (worker, _):
-            kill(worker)  # its nanny starts another
+            kill(worker)  # its nanny starts another one
         with gate(gates, "1-24") as (worker, reader):
             first.kill()
             first.communicate()

@@ -1,4 +1,4 @@
-"""`dmframe study`: what it prints and writes, and how it ends."""
+"""`dmframe study`: its output, its files, and its end."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ Dmframe = Callable[..., Any]
 
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
-    """A study, its graph in a folder below, and a block of its own next to that."""
+    """A study, its graph in a subfolder, and a block next to the graph."""
     folder = tmp_path / "there"
     (folder / "mine").mkdir(parents=True)
     (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
@@ -98,7 +98,7 @@ def started(folder: Path, *words: str) -> subprocess.Popen[str]:
 
 @pytest.mark.usefixtures("here")
 def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe: Dmframe) -> None:
-    """One study through all that the command does, since each loop takes seconds to build."""
+    """One study with all functions of the command, since each loop takes seconds to build."""
     import polars
 
     status, out, err = dmframe("there/study.yaml", "--dry-run", "--json", "--workers", "1")
@@ -124,7 +124,7 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     folder = tmp_path / "studies" / "study"
     moved = tmp_path / "moved"
     shutil.move(folder, moved)
-    shutil.rmtree(mine.parent)  # the folder holds the study, its graph and its block
+    shutil.rmtree(mine.parent)  # the folder contains the study, its graph and its block
     begun = json.loads((moved / "study.lock.json").read_text("utf-8"))
     (moved / "study.lock.json").write_text(json.dumps(begun | {"study": "arms"}), encoding="utf-8")  # of arms.yaml
     status, out, _ = dmframe("moved", "--json", "--no-report")
@@ -209,7 +209,7 @@ def test_ctrl_c_ends_with_130_and_the_same_command_continues(tmp_path: Path) -> 
     (tmp_path / "long.yaml").write_text(SMALL.replace("0.2 s", "20 s").replace("runs: 3", "runs: 100000"))
     process = started(tmp_path, "long.yaml", "--workers", "1")
     lines = tmp_path / "studies" / "long" / "chunks.jsonl"
-    while process.poll() is None and not lines.exists():  # until some runs are kept
+    while process.poll() is None and not lines.exists():  # until some rows are stored
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.05)
     process.send_signal(signal.SIGTERM)

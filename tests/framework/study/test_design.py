@@ -1,4 +1,4 @@
-"""Designs: the same numbers for a sample, however it is requested, of the distribution that the file names."""
+"""Designs: the same numbers for a sample, for any order of requests, with the distribution of the file."""
 
 from __future__ import annotations
 

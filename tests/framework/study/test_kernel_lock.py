@@ -1,4 +1,4 @@
-"""The lock of a search's journal dies with its holder."""
+"""The lock of a search's journal ends with its holder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ time.sleep(600)
 
 
 def busy(path: Path) -> bool:
-    """True where another holds the lock now."""
+    """True if another process has the lock now."""
     file = os.open(path, os.O_RDWR | os.O_CREAT)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""Studies: what their files say, and that a row and the graph of its run have the very same numbers."""
+"""Studies: the content of their files; a row and the graph of its run have exactly the same numbers."""
 
 from __future__ import annotations
 

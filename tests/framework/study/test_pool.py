@@ -1,4 +1,4 @@
-"""Worker processes on this machine: whichever process is ended, rows are neither lost nor computed twice."""
+"""Worker processes on this machine: if any process is stopped, rows are neither lost nor computed twice."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_chunks_wait_in_a_short_queue_however_many_there_are(tmp_path: Path, mon
 
 @final
 class Blaming:
-    """Workers that end with all chunks that wait there, as a scheduler's do, which does not know the cause."""
+    """Workers that end with all waiting chunks, as those of a scheduler do, which cannot determine the cause."""
 
     count = 1
 

@@ -1,4 +1,4 @@
-"""The proof over all that a study draws: no run lies outside of its box, and what it says is what single proofs say."""
+"""The proof over the box of a study: no run is outside, and its result equals those of single proofs."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_no_run_lies_outside_of_the_box_not_by_a_rounding(sample: str) -> None:
         low, high = box.ends[label]
         assert (low <= values.reshape(3000, -1)).all()
         assert (values.reshape(3000, -1) <= high).all()
-        assert (high - low < 1.1 * np.ptp(values)).all()  # and it is no wider than need be
+        assert (high - low < 1.1 * np.ptp(values)).all()  # and it is not wider than necessary
 
 
 def test_a_factor_at_its_ends_is_in_the_box_exactly() -> None:
@@ -96,7 +96,7 @@ def test_a_start_that_a_parameter_states_is_a_start_and_the_graph_goes_before_it
     low, high = box.ends["start.inverse.w_I"]
     np.testing.assert_allclose([low, high], [own, 2 * own])
     box = box_of(diagram, found.factors, {"w_I": 1.0})
-    assert box.unknown == ("inverse.w_I",)  # not used by any equation: a needless remark, but true
+    assert box.unknown == ("inverse.w_I",)  # no equation uses it: an unnecessary remark, but true
 
 
 def test_a_narrow_box_is_proved_and_a_wide_one_is_not() -> None:
@@ -262,7 +262,7 @@ def test_the_first_line_of_a_study_is_the_verdict(
         ("torque_direct_pid", "model.nominal: {uniform: [0.7, 1.3]}"),  # where estimates start
         ("arm2_joint", "inverse.w: {scale: [0.2, 2]}"),
         ("arm2_joint", "start.a_d_hat: {uniform: [-30, 30], per: element}"),
-        ("pendulum", "arm.coulomb: {uniform: [0, 1]}"),  # zero in the graph, and no column of the regressor
+        ("pendulum", "arm.coulomb: {uniform: [0, 1]}"),  # zero in the graph, and without a column of the regressor
         ("known_tracking_pi", "path.radius: {uniform: [0.1, 1.4]}"),  # out of reach from some 0.57 m on
     ],
 )
@@ -280,7 +280,7 @@ def test_whatever_a_box_and_a_count_state_single_proofs_state(graph: str, sample
 
 
 def test_a_divisor_that_is_zero_in_a_sample_is_no_large_margin() -> None:
-    """1 / (K_I - 20)^2 is above zero at every number but at 20, where it is nothing, and no float above zero."""
+    """1 / (K_I - 20)^2 is positive for every number except 20, where it is undefined and has no float value."""
     claim = verify(of(study("servo.K_I: {scale: [1, 2]}"))).claim
     assert claim is not None
     (K_I,) = (item.symbol for item in claim.loop.parameters if item.label == "servo.K_I")

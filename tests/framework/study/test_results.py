@@ -1,4 +1,4 @@
-"""What a study's folder says: its table, its worst runs, its page; of tables written by hand, and of one that ran."""
+"""A study's folder: its table, its worst runs, its page; for hand-written tables, and for one that ran."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def text_of(runs: int = 200, method: str = "random", report: str = "", grid: str
 
 
 def steady(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """The error is K_D's factor, a tenth of it at the second point; nothing diverges."""
+    """The error is K_D's factor, a tenth of it at the second point; no run diverges."""
     return {"rms_final": drawn["servo.K_D"] * (1.0, 0.1)[point % 2] * 1e-3}
 
 
 def breaking(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """The same, but at the second point all with a soft servo diverge, the softest first."""
+    """The same, but at the second point all runs with a soft servo diverge, the softest first."""
     soft = (drawn["servo.K_D"] < 0.7) & (point == 1)
     figures = steady(study, point, drawn)["rms_final"]
     when = np.where(soft, drawn["servo.K_D"], np.nan)
@@ -94,7 +94,7 @@ def write_report(*where: Any, **options: Any) -> Path:
 
 
 def write(parent: Path, figures: Figures = steady, text: str = "", chunk: int = 64, drop: int = 0) -> Path:
-    """A table by hand, in chunks of several files and in no order."""
+    """A hand-written table, in chunks of several files, unordered."""
     import polars as pl
 
     place = parent / "which_gain"
@@ -138,7 +138,7 @@ def test_a_table_of_chunks_in_no_order_is_summed_up_point_by_point(folder: Calla
     known = scipy.stats.binomtest(lost, 200).proportion_ci(0.95, method="exact")
     assert (rows[1]["low"], rows[1]["high"]) == pytest.approx((known.low, known.high))
     assert rows[0]["rms_final_median"] == pytest.approx(np.quantile(draws, 0.5, method="inverted_cdf") * 1e-3)
-    assert rows[1]["rms_final_q99"] == math.inf  # of the runs that diverged, no quantile forgets one
+    assert rows[1]["rms_final_q99"] == math.inf  # each quantile counts the runs that diverged
 
 
 def test_the_dataset_has_the_grids_dimensions_and_units(folder: Callable[..., Path]) -> None:
@@ -258,7 +258,7 @@ def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tu
     found = Results(place)
     saved = [dm.load(place / f"worst_{k}.yaml") for k in (1, 2, 3, 4)]
     assert [each.blocks["dynamics"].Gamma for each in saved] == [10, 10, 10, 1]  # type: ignore[attr-defined]
-    (own,) = found.worst_runs("rms_final", 1, points=[0])  # the worst at the setting that one would take
+    (own,) = found.worst_runs("rms_final", 1, points=[0])  # the worst run at the recommended setting
     assert saved[3].blocks == found.study.graph_of(own).blocks
     assert not (place / "worst_5.yaml").exists()
     names = {path.name for path in (place / "figures").iterdir()}
@@ -324,7 +324,7 @@ def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: P
         said = "Largest influence" in repr(list(summary(data)))
         named += said
         assert not said or max(shares) >= WORTH
-    assert named <= 2  # of ten, where each is to be wrong one time in twenty
+    assert named <= 2  # of ten, each of which may be wrong in one of twenty cases
 
 
 def test_the_answer_counts_settings_that_could_not_be_prepared(folder: Callable[..., Path]) -> None:

@@ -1,4 +1,4 @@
-"""Shares, quantiles, comparisons and influences against SciPy's own, and against what they promise."""
+"""Proportions, quantiles, comparisons and influences compared with SciPy's, and with their guarantees."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_the_interval_of_a_quantile_holds_as_often_as_it_states(p: float, runs: 
     upper = runs + 1 if math.isinf(found.high or 0) else int(found.high or 0)
     below = scipy.stats.binom(runs, p)
     assert below.cdf(upper - 1) - below.cdf(lower - 1) >= 0.95
-    assert below.cdf(upper - 2) < 0.975 or upper == 1  # and no wider than need be
+    assert below.cdf(upper - 2) < 0.975 or upper == 1  # and not wider than necessary
     assert below.cdf(lower) > 0.025
 
 
@@ -103,7 +103,7 @@ def test_a_comparison_on_the_same_samples_shows_what_two_medians_hide() -> None:
     assert found.p < 1e-50
     assert found.difference.high is not None
     assert found.difference.high < 0
-    assert scipy.stats.mannwhitneyu(robots, robots * 0.98).pvalue > 0.5  # unpaired, nothing is seen
+    assert scipy.stats.mannwhitneyu(robots, robots * 0.98).pvalue > 0.5  # unpaired, no difference is detected
 
 
 def test_several_tests_are_adjusted_as_holm_did() -> None:
@@ -111,7 +111,7 @@ def test_several_tests_are_adjusted_as_holm_did() -> None:
 
 
 def test_influences_are_the_first_order_indices_of_a_known_function() -> None:
-    """y = 4 a + 2 b + c with uniform draws: variances as 16, 4, 1; in a sum near normal, ranks keep the shares."""
+    """y = 4 a + 2 b + c with uniform draws: variances as 16, 4, 1; in an almost normal sum, ranks keep the ratios."""
     a, b, c, d = np.random.default_rng(5).uniform(size=(4, 20000))
     y = 4 * a + 2 * b + c
     uniform = scipy.stats.uniform()
@@ -151,7 +151,7 @@ def test_no_influence_is_claimed_more_often_than_its_chance_states() -> None:
     rng = np.random.default_rng(11)
     found = [influence("a", rng.uniform(size=200), rng.normal(size=200), independent=True) for _ in range(400)]
     assert np.mean([(each.p or 0) < 0.05 for each in found]) == pytest.approx(0.05, abs=0.03)
-    assert np.mean([each.explained for each in found]) < 0.03  # chance itself is taken away
+    assert np.mean([each.explained for each in found]) < 0.03  # chance is subtracted
 
 
 def test_a_factor_of_one_value_has_no_influence() -> None:

@@ -1,4 +1,4 @@
-"""The folder of a study: what is not whole, not ours or not of this study is noticed."""
+"""The folder of a study: incomplete, foreign or changed files are detected."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ except OutputError as error:
 """
 
 
-def test_a_full_disk_is_one_sentence_and_costs_nothing_that_was_written(tmp_path: Path) -> None:
+def test_a_full_disk_is_one_message_and_written_rows_remain(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(out)], capture_output=True, text=True, env=environment(), check=True

@@ -1,4 +1,4 @@
-"""Tuning: what is tried, refused, stopped and found, and that a search goes on as if it had never stopped."""
+"""Tuning: candidates, refusals, stops and results; a search that was stopped continues without a difference."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def history(found: Tuning, folder: Path) -> list[tuple[Any, ...]]:
 
 
 def written(path: Path, found: Sequence[Verification]) -> None:
-    """In place of a certificate with its figures and periods, which the page docs/how_to/tuning.md writes."""
+    """Instead of a certificate with its figures and periods, which the page docs/how_to/tuning.md writes."""
     path.write_text(" ".join(each.headline for each in found), encoding="utf-8")
 
 
@@ -124,7 +124,7 @@ def test_a_trial_that_was_stopped_early_is_not_on_the_front(study: Make, tmp_pat
     gains = GAINS.replace("minimise: worst rms_final", "minimise: [worst rms_final, worst error_most]")
     early, whole = tuning(study, PLANTS + gains), tuning(study, PLANTS + gains + "  screen: null\n")
     for found, name in ((early, "early"), (whole, "whole")):
-        found.search(tmp_path / name, 10)  # the first ten are drawn at random, whatever the others were
+        found.search(tmp_path / name, 10)  # the first ten are drawn at random, independent of the others
     stopped = [each for each in early.trials(tmp_path / "early") if each.state == "stopped"]
     ran = {each.number: each for each in whole.trials(tmp_path / "whole")}
     assert stopped, "no trial was stopped, so that this test checks nothing"
@@ -149,7 +149,7 @@ def test_values_whose_conditions_fail_are_refused_before_any_run(
     monkeypatch.setattr(tuning_module, "rows_of_runs", counted)
     found.search(tmp_path, 6)
     trials = found.trials(tmp_path)
-    most = 30.5  # K_P + B of the second joint: the friction that the maker may compensate, or dV/dt may be positive
+    most = 30.5  # largest compensation with dV/dt <= 0: K_P + B of the second joint
     assert {each.state == "refused" for each in trials} == {True, False}
     for each in trials:
         assert (each.state == "refused") == (each.values["arm.maker_viscous"] >= most), each
@@ -256,7 +256,7 @@ def test_a_constraint_that_fresh_plants_violate_is_reported(
     assert kept.best.broken == ()
     _, rows = found.figures_of(found.candidate(kept.best.values))
     peak = found.bounds[0].statistic.of(found.bounds[0].statistic.figures(rows))
-    # the search's own plants keep to it
+    # the search's own plants satisfy it
     result = tuned_of(replace(found, bounds=(replace(found.bounds[0], limit=peak),)), tmp_path)
     assert any(text.startswith("on fresh plants worst servo.u.peak <=") for text in result.best.broken)
     assert any("does not hold: it is" in notice for notice in result.notices)
@@ -364,7 +364,7 @@ def test_two_processes_share_one_search(study: Make, arm: Path) -> None:
     )
     other = subprocess.Popen([sys.executable, "-c", code], cwd=arm.parent, stderr=subprocess.PIPE, text=True)
     found, out = tuning(study, PLANTS + GAINS), arm.parent / "out"
-    while other.poll() is None and not (out / JOURNAL).exists():  # until the other, which starts anew, has begun
+    while other.poll() is None and not (out / JOURNAL).exists():  # until the other, which starts again, has begun
         with contextlib.suppress(subprocess.TimeoutExpired):
             other.wait(0.05)
     found.search(out, 6)

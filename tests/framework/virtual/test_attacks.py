@@ -1,6 +1,6 @@
-"""No client stops the robot for the others: the work of a cycle is bounded, whatever clients send, and is shared.
+"""No client stops the robot for the others: the work per cycle is bounded for any input, and is shared.
 
-Work is counted in calls of functions, which do not depend on the machine.
+Work is measured in function calls, which do not depend on the machine.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dmframe.virtual.rtde import MOST_NAMES, MOST_OUTPUTS
 from dmframe.virtual.server import MOST_WAITING, Ports
 
 MOST = 150_000
-"""Calls in a cycle: some tens of milliseconds."""
+"""Calls per cycle: some tens of milliseconds."""
 CLIENTS = 40
 VERSION = message("V", b"\0\2")
 ROBOTS: list[VirtualRobot] = []
@@ -53,7 +53,7 @@ def connected(held: VirtualRobot, port: int, count: int = CLIENTS) -> list[socke
 
 
 def pushed(client: socket.socket, data: bytes) -> int:
-    """Send as much as the socket takes."""
+    """Send as much as the socket accepts."""
     try:
         return client.send(data)
     except BlockingIOError:
@@ -61,14 +61,14 @@ def pushed(client: socket.socket, data: bytes) -> int:
 
 
 def drained(client: socket.socket) -> None:
-    """Read what has come."""
+    """Read what has arrived."""
     with suppress(BlockingIOError):
         while client.recv(1 << 20):
             pass
 
 
 def work(held: VirtualRobot, cycles: int = 1) -> int:
-    """Most calls in one of these cycles."""
+    """Largest number of calls in one of these cycles."""
     most = calls = 0
 
     def noted(frame: Any, event: str, what: Any) -> None:

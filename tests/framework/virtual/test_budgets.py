@@ -1,4 +1,4 @@
-"""One script cannot stop the robot for others: each attack ends by itself while another client gets each sample."""
+"""A script cannot stop the robot for others: each attack ends by itself, and another client gets each sample."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def connected(held: VirtualRobot, port: int) -> socket.socket:
 
 
 def samples(held: VirtualRobot, client: socket.socket, cycles: int) -> int:
-    """How many come in so many cycles; the socket's buffer holds them all."""
+    """Number of samples that arrive in so many cycles; the socket's buffer stores them all."""
     held.advance(cycles)
     client.setblocking(False)
     found = bytearray()
@@ -141,8 +141,8 @@ end
     assert ended.registers.values["output_bit_register_0"] is True
 
 
-def test_an_inverse_that_there_is_not_is_no_number_and_the_script_goes_on() -> None:
-    held = robot("ur10_fast")  # three of its joints are held
+def test_a_singular_inverse_is_nan_and_the_script_continues() -> None:
+    held = robot("ur10_fast")  # three of its joints are fixed
     script = """def inverse():
   q = get_inverse_kin(p[0.1, 0.6, 0.5, 0, 0, 0])
   write_output_float_register(0, q[0])
@@ -168,7 +168,7 @@ def test_torques_are_k_u_at_every_place_where_a_client_reads_them() -> None:
     held.advance(3)
     runs(held, script)
     *_, last = client.samples("6d6d")
-    # at rest the motors hold the arm against gravity, which Pinocchio knows
+    # at rest the motors compensate gravity, as Pinocchio computes
     import pinocchio as pin
 
     chain = held.arm.chain

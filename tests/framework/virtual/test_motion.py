@@ -1,4 +1,4 @@
-"""What the controller makes of commands: the documented laws, and their times."""
+"""Response of the controller to commands: the documented laws, and their times."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_speedj_ramps_holds_and_after_its_time_ramps_down() -> None:
     expected = np.minimum(np.minimum(1.0 * t, 0.2), np.maximum(0.2 - 1.0 * (t - 0.3), 0))
     assert np.allclose(found, expected, atol=1e-12)
     assert found[-1] == 0
-    assert dt * found.sum() == pytest.approx(0.2 * 0.3, rel=0.01)  # the two ramps are of one length
+    assert dt * found.sum() == pytest.approx(0.2 * 0.3, rel=0.01)  # the two ramps have the same length
 
 
 def test_the_joints_of_speedj_keep_their_proportions() -> None:

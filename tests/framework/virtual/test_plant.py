@@ -1,4 +1,4 @@
-"""The plant behind the maker's wall, against the simulation."""
+"""The plant behind the manufacturer's interface, compared with the simulation."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_inverse_kinematics_come_back_to_the_pose() -> None:
     q = held.arm.inverse(pose, held.q)
     assert np.allclose(held.arm.pose(q), pose, atol=1e-8)
     step = 1e-6
-    for k in range(6):  # and the Jacobian is that of the pose's place
+    for k in range(6):  # and the Jacobian belongs to the position of the pose
         ahead = q + step * np.eye(6)[k]
         slope = (held.arm.pose(ahead)[:3] - held.arm.pose(q)[:3]) / step
         assert np.allclose(held.arm.jacobian(q)[:3, k], slope, atol=1e-5)

@@ -1,4 +1,4 @@
-"""The robot as a whole, in simulated time: a controller that drives it, and all that may stop it."""
+"""The robot as a whole, in simulated time: a controller that drives it, and all causes of a stop."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PLACES = [0, 1, 2]
 
 
 def driven(held: VirtualRobot, ticks: int) -> tuple[np.ndarray, list[int]]:
-    """The graph's controller over RTDE; where the joints were, and how many samples old the answered commands were."""
+    """The graph's controller over RTDE; joint positions, and the age in samples of the answered commands."""
     own = graph("ur10_fast")
     assert own.clock == held.dt
     controller = Controller(own.diagram, held.dt, start=own.start)
@@ -50,9 +50,9 @@ def driven(held: VirtualRobot, ticks: int) -> tuple[np.ndarray, list[int]]:
 def test_a_controller_over_rtde_does_what_it_does_in_a_simulation() -> None:
     run = graph("ur10_fast").run(2.0, progress=False).recording
     found, ages = driven(robot(series="cb3"), 250)
-    # the acceleration of speedj, 40 rad/s^2, and the arm's sag in the first cycle are all that differs
+    # the only differences are the acceleration of speedj, 40 rad/s^2, and the arm's sag in the first cycle
     assert np.max(np.abs(found - run["arm.q"][: len(found)])) < 2e-5
-    assert set(ages[1:]) == {1}  # what answers one sample has been echoed in the next
+    assert set(ages[1:]) == {1}  # the answer to one sample is echoed in the next
 
 
 def test_delays_add_up_in_what_the_client_reads() -> None:
@@ -79,7 +79,7 @@ def moving(held: VirtualRobot, speed: float = 0.3) -> Client:
 
 
 def at_rest_after(held: VirtualRobot) -> float:
-    """How long until the first joint rests, to a hundredth of its speed [s]."""
+    """Time until the first joint rests, up to a hundredth of its speed [s]."""
     begun = held.time
     while abs(held.dq[0]) > 3e-3 or not held.target.still:
         held.advance()

@@ -1,4 +1,4 @@
-"""RTDE byte by byte, as the maker's guide has it."""
+"""RTDE byte by byte, according to the manufacturer's guide."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ports of the robot, by sockets, on a clock that the test moves."""
+"""The ports of the robot, by sockets, on a clock that the test advances."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OPEN: list[socket.socket] = []
 
 
 class Connected:
-    """A client's socket, read while the robot looks at its own."""
+    """A client's socket, read while the robot serves its own."""
 
     def __init__(self, held: VirtualRobot, port: int) -> None:
         self.held, self.socket = held, socket.create_connection((HOST, port))
@@ -30,7 +30,7 @@ class Connected:
         self.socket.sendall(data)
 
     def read(self, count: int) -> bytes:
-        """So many bytes, the robot's cycles passing until they are there."""
+        """So many bytes; the robot's cycles continue until they have arrived."""
         data = b""
         for _ in range(5000):
             try:
@@ -136,7 +136,7 @@ def test_the_primary_port_sends_version_mode_and_limits(held: VirtualRobot) -> N
         length, part = struct.unpack(">IB", body[:5])
         found[part], body = body[5:length], body[length:]
     assert {0, 6} <= set(found)
-    assert len(found[0]) + 5 == 47  # as long as the maker's
+    assert len(found[0]) + 5 == 47  # as long as the manufacturer's
     assert found[0][15] == 7
     assert len(found[6]) + 5 == 445
     assert struct.unpack(">4d", found[6][96:128])[::2] == (2.16, 2.16)
@@ -203,7 +203,7 @@ def test_a_client_that_talks_nonsense_is_dropped(held: VirtualRobot) -> None:
 
 
 def following(held: VirtualRobot, monkeypatch: pytest.MonkeyPatch) -> tuple[Connected, list[float]]:
-    """A client that has answered a sample, while a script runs; and a time that passes where the robot waits."""
+    """A client that has answered a sample, while a script runs; and a time that passes while the robot waits."""
     client, now = Connected(held, held.listen(HOST, Ports.free()).rtde), [0.0]
     client.send(message("V", b"\0\2") + message("O", struct.pack(">d", 500.0) + b"timestamp"))
     client.send(message("I", b"input_int_register_24") + message("S"))
@@ -230,7 +230,7 @@ def test_in_step_the_clock_waits_for_the_answer_to_each_sample(
     begun, answers = held.cycles, [0]
 
     def wanted() -> bool:
-        if now[0] >= 5.0 * (answers[0] + 1):  # it takes its time, 5 s for each
+        if now[0] >= 5.0 * (answers[0] + 1):  # it takes 5 s for each
             answers[0] += 1
             client.send(message("U", b"\1\0\0\0\1"))
         return answers[0] < 4 or bool(held.owing)

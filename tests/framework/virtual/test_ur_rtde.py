@@ -1,4 +1,4 @@
-"""ur_rtde, unmodified, drives the robot in real time, from a process of its own, by the maker's own ports."""
+"""ur_rtde, unmodified, drives the robot in real time, from a separate process, through the manufacturer's ports."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from virtual_robots import own_host, robot
 
 LIMIT = 120.0
-"""Of the client [s]; it needs some seconds."""
+"""Time limit of the client [s]; it needs some seconds."""
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("rtde_control") is None, reason="needs ur_rtde: python -m pip install ur_rtde"
 )
@@ -103,7 +103,7 @@ print(json.dumps(found))
 def test_its_interfaces_drive_the_robot() -> None:
     host = own_host()
     with robot("ur10_full") as held:
-        held.listen(host)  # this client knows no other ports
+        held.listen(host)  # this client supports no other ports
         with held.in_background():
             done = subprocess.run(
                 [sys.executable, "-c", CLIENT, host], capture_output=True, text=True, timeout=LIMIT, check=False

@@ -1,4 +1,4 @@
-"""Scripts of clients: what they compute, and the messages of their faults."""
+"""Scripts of clients: their results, and the messages of their faults."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ SHARED: list[VirtualRobot] = []
 
 
 def held() -> VirtualRobot:
-    """One robot, as these scripts move nothing."""
+    """One robot, as these scripts do not move it."""
     if not SHARED:
         SHARED.append(robot())
     return SHARED[0]
 
 
 def value(body: str) -> float:
-    """What a program leaves in register 0."""
+    """The value that a program leaves in register 0."""
     script = f"def test():\n{body}\n  write_output_float_register(0, found)\nend\n"
     ended = runs(held(), script)
     assert "its last line is done" in ended.messages[-1], list(ended.messages)
@@ -31,7 +31,7 @@ def value(body: str) -> float:
 
 
 def fault(script: str) -> str:
-    """Why a program ended."""
+    """The reason for the end of a program."""
     held().advance(60)  # the programs of the last tests share their first operations
     return runs(held(), script).messages[-1]
 
@@ -123,7 +123,7 @@ def test_lists_are_values() -> None:
 
 
 def test_a_client_may_put_a_number_before_the_next_statement() -> None:
-    """As one does that finds a comment and writes after the end of its line."""
+    """As a user who finds a comment and writes after the end of its line."""
     assert value("  global offset = # here\n24    global other = # there\n3\n  found = offset + other") == 27
 
 
@@ -145,7 +145,7 @@ def test_threads_take_turns_once_a_cycle() -> None:
   found = 100 * before + turns - before
   kill two
 """
-    # ten cycles of 2 ms each: the threads begin in the first of them, and once in every other
+    # ten cycles of 2 ms each: the threads begin in the first, and then run in every other
     assert value(body) == 100 * 20 + 10
 
 
