@@ -94,8 +94,8 @@ class ExpertAggregation(AbstractBlock):
 
     with the change D of dq_path, the velocity along the path without feedback; D counts as zero at a start from rest,
     and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The motion shows
-    this: the evidence is the sum of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope a_max behind the
-    command u. Once it is negative, D counts as zero.
+    this: the evidence is the integral of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope a_max behind
+    the command u. Once it is below -0.001 rad^2/s, D counts as zero.
 
     Parameters
     ----------
