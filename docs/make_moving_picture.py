@@ -1,4 +1,4 @@
-"""The README's moving picture: the live page of ur10_fast in headless Chromium, once around its circle.
+"""The README's moving picture: the live page of ur10_demo in headless Chromium, once around its circle.
 
 ``python docs/make_moving_picture.py``: some minutes; Chromium must be installed.
 """
@@ -14,16 +14,16 @@ from pathlib import Path
 
 from PIL import Image
 
-import dmframe as dm
+from dmframe.catalogue import find_page
 
-FRAMES = 36
-PERIOD = 2 * math.pi  # [s], of the circle
-FIRST = 6.0  # [s], when the tool has left a trace
-WINDOW = (1400, 700)
-PART = (12, 146, 1056, 668)  # [pixels]: robot, error and V
+FRAMES = 30
+PERIOD = math.pi  # [s], of the circle
+FIRST = 12.0  # [s], when the controller has adapted
+WINDOW = (1400, 860)
+PART = (12, 160, 1074, 824)  # [pixels]: robot, errors and V
 WIDTH = 760  # [pixels], of the picture
-COLOURS = 200
-FILE = Path(__file__).parent / "images" / "ur10_fast.gif"
+COLOURS = 128
+FILE = Path(__file__).parent / "images" / "ur10_demo.gif"
 
 
 def frame(page: Path, folder: Path, time: float) -> Image.Image:
@@ -41,7 +41,7 @@ def main() -> None:
     """Write the picture."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        page = dm.load("ur10_fast").page().save(folder / "page.html")
+        page = find_page("ur10_demo")
         frames = [frame(page, folder, FIRST + PERIOD * k / FRAMES) for k in range(FRAMES)]
     palette = frames[0].quantize(COLOURS, dither=Image.Dither.NONE)
     small = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in frames]

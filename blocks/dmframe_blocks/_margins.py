@@ -2,21 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi, sin
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 
 from dmframe.block import SX, Signals, named, operation
-from dmframe_blocks._identified_delay import Delayed, chosen, longest
+from dmframe_blocks._identified_delay import Delayed, check_delay, chosen, longest
 
 
 class Margined(Delayed, Protocol):
     """A block whose gain follows from margins."""
 
     @property
+    def gain_margin(self) -> float | None:
+        """Margin of the gain; None if the gain itself is given."""
+
+    @property
     def delay_margin(self) -> int:
         """Margin of the delay in samples."""
+
+
+def check_gain(block: Margined, gains: Sequence[str], expected: str) -> None:
+    """Raise ValueError unless a block has one of its gains, with margins that fit it, and one delay."""
+    given = [name for name in gains if getattr(block, name) is not None]
+    if len(given) != 1:
+        raise ValueError(f"expected one of {expected}, found {' and '.join(given) or 'none'}")
+    if block.gain_margin is not None and block.gain_margin < 1:
+        raise ValueError(f"expected a gain_margin of 1 or more, found {block.gain_margin}")
+    if block.gain_margin is None and block.delay_margin != _default(block):
+        raise ValueError("expected no delay_margin without gain_margin, which computes the gain; leave it out")
+    check_delay(block)
+
+
+def _default(block: Any) -> int:
+    found: int = type(block).model_fields["delay_margin"].default
+    return found
+
+
+def ends_of_sample(block: Delayed, u: Signals, path: Sequence[SX], *, names: tuple[str, str]) -> tuple[SX, SX]:
+    """The path where the sample begins and where it ends in which the command acts.
+
+    Parameters
+    ----------
+    path
+        The path now, and after 1, 2, ... samples.
+    names
+        Of the two points with an identified delay, for printed formulas.
+    """
+    if block.delay_up_to is None:
+        return path[block.delay], path[block.delay + 1]
+    now, goal = chosen(path[:-1], u.delay_hat), chosen(path[1:], u.delay_hat)
+    return named(names[0], now), named(names[1], goal)
 
 
 def gain_at_limit(block: Margined, u: Signals) -> SX | float:

@@ -21,12 +21,10 @@ from dmframe_blocks._identified_delay import (
     DELAY_HAT,
     IDENTIFIED,
     MOST_DELAY,
-    check_delay,
-    chosen,
     longest,
     needs_delay,
 )
-from dmframe_blocks._margins import gain_at_limit
+from dmframe_blocks._margins import check_gain, ends_of_sample, gain_at_limit
 
 
 @final
@@ -102,14 +100,7 @@ class SampledJointTracking(AbstractBlock):
 
     @model_validator(mode="after")
     def _has_one_gain(self) -> Self:
-        if (self.Lambda is None) == (self.gain_margin is None):
-            found = "none" if self.Lambda is None else "both"
-            raise ValueError(f"expected one of Lambda and gain_margin, found {found}")
-        if self.gain_margin is not None and self.gain_margin < 1:
-            raise ValueError(f"expected a gain_margin of 1 or more, found {self.gain_margin}")
-        if self.gain_margin is None and self.delay_margin != type(self).model_fields["delay_margin"].default:
-            raise ValueError("expected no delay_margin without gain_margin, which computes the gain; leave it out")
-        check_delay(self)
+        check_gain(self, ("Lambda", "gain_margin"), "Lambda and gain_margin")
         return self
 
     def needs(self, port: str) -> bool:
@@ -119,9 +110,7 @@ class SampledJointTracking(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         path = [getattr(u, name) for name in ("q_d", *(f"q_d_{k}" for k in range(1, longest(self) + 2)))]
-        now, goal = path[self.delay], path[self.delay + 1]
-        if self.delay_up_to is not None:
-            now, goal = named("q_at", chosen(path[:-1], u.delay_hat)), named("q_to", chosen(path[1:], u.delay_hat))
+        now, goal = ends_of_sample(self, u, path, names=("q_at", "q_to"))
         step = u.T * p.Lambda if "Lambda" in p else gain_at_limit(self, u) / p.gain_margin
         q_err = named("q_err", u.q_start - now)
         along = (goal - now) / u.T

@@ -26,12 +26,10 @@ from dmframe_blocks._identified_delay import (
     DELAY_HAT,
     IDENTIFIED,
     MOST_DELAY,
-    check_delay,
-    chosen,
     longest,
     needs_delay,
 )
-from dmframe_blocks._margins import braked, gain_at_limit
+from dmframe_blocks._margins import braked, check_gain, ends_of_sample, gain_at_limit
 
 
 @final
@@ -144,19 +142,10 @@ class SampledTracking(AbstractBlock):
 
     @model_validator(mode="after")
     def _has_one_gain(self) -> Self:
-        given = [name for name in ("gamma", "Lambda", "gain_margin") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(
-                "expected one of gamma, by J', and Lambda or gain_margin, by the inverse of J, found "
-                f"{' and '.join(given) or 'none'}"
-            )
-        if self.gain_margin is not None and self.gain_margin < 1:
-            raise ValueError(f"expected a gain_margin of 1 or more, found {self.gain_margin}")
-        if self.gain_margin is None and self.delay_margin != type(self).model_fields["delay_margin"].default:
-            raise ValueError("expected no delay_margin without gain_margin, which computes the gain; leave it out")
+        gains = ("gamma", "Lambda", "gain_margin")
+        check_gain(self, gains, "gamma, by J', and Lambda or gain_margin, by the inverse of J")
         if self.braking is not None and self.gamma is not None:
             raise ValueError("expected no braking with gamma, which feeds back through J'; give Lambda or gain_margin")
-        check_delay(self)
         return self
 
     def needs(self, port: str) -> bool:
@@ -185,9 +174,7 @@ class SampledTracking(AbstractBlock):
     def _points(self, u: Signals) -> tuple[SX, SX]:
         """The points of the path at the start and at the end of the sample in which the command acts."""
         path = [getattr(u, name) for name in ("x_d", *(f"x_d_{k}" for k in range(1, longest(self) + 2)))]
-        if self.delay_up_to is None:
-            return path[self.delay], path[self.delay + 1]
-        return named("x_at", chosen(path[:-1], u.delay_hat)), named("x_to", chosen(path[1:], u.delay_hat))
+        return ends_of_sample(self, u, path, names=("x_at", "x_to"))
 
     def _left(self, u: Signals, p: Signals, x_err: SX) -> SX:
         """The error that (1) or (2) leaves at the end of the sample."""

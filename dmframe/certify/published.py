@@ -16,6 +16,7 @@ from typing import Any, Final, final
 import casadi as ca
 
 from dmframe.block.certificate import SX, Lemma, Square, StableLinear
+from dmframe.block.model import symbols_in
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
@@ -85,9 +86,9 @@ class _Writer:
     def content(self, about: Mapping[str, str]) -> dict[str, Any]:
         """The whole file."""
         of = self._of
-        rates = {} if of.over_samples else self._rates()
         parts = {part.block: self._extra_parts(part) for part in of.parts}
         own = self._own_statements()
+        rates = {} if of.over_samples else self._rates()
         self._claim = claim = assembled(of, self._verdict.uncertain, self._more)
         terms = list(self._terms(claim, parts))
         found: dict[str, Any] = {
@@ -142,11 +143,18 @@ class _Writer:
         return [self._with_ids(value) for value in item] if isinstance(item, list | tuple) else item
 
     def _rates(self) -> dict[str, str]:
-        """Rates of all states, and of the trajectories that the claim's signals contain."""
-        of = self._of
-        everything = {label for variable in of.loop.variables for label in variable.identities}
-        everything |= {x for leaf in of.diagram.resolver.trajectories.values() for x in leaf.identities}
-        return {label: self._vector(f"rate of {label}", rate) for label, rate in of.flow.rates_of(everything).items()}
+        """Rates of all states, and of the trajectories in the claim and in the file's signals.
+
+        They do not depend on derivatives of trajectories that another computation has formed.
+        """
+        of, exact = self._of, self._verdict.exact
+        assert exact is not None
+        claimed, used = {symbol.label for symbol in exact.symbols}, symbols_in(self._more.values())
+        moving = {x for variable in of.loop.variables for x in variable.identities}
+        for leaf in of.diagram.resolver.trajectories.values():
+            if leaf.name in claimed or used & leaf.identities:
+                moving |= leaf.identities
+        return {label: self._vector(f"rate of {label}", rate) for label, rate in of.flow.rates_of(moving).items()}
 
     def _extra_parts(self, part: Part) -> dict[tuple[str, int], dict[str, str]]:
         """Fields of the terms that are no squares, by role and position."""

@@ -1066,7 +1066,8 @@ class Signs:
             need(
                 all(used == other or not used & other for other in needed), "cross terms share a part of their squares"
             )
-            need(not of.term(cross["term"])["level"], "a cross term: expected the weight 1")
+            own = of.term(cross["term"])
+            need(own["role"] == "cross" and not own["level"], "a cross term: expected one with the weight 1")
             needed[used] = needed.get(used, 0) + max(ring.mul(c[0], x)[1] for x in total)
             if not max(levels) and needed[used] >= 1:
                 raise Refuted("the dissipation does not dominate a cross term")

@@ -12,7 +12,7 @@ from dmframe.common.errors import DmframeError
 from dmframe.common.files import write_text, writing
 from dmframe.common.units import plain
 from dmframe.design.decide import Candidate
-from dmframe.design.designed import Check, Designed
+from dmframe.design.designed import LIMITS, Check, Designed
 from dmframe.design.progress import Progress
 from dmframe.graph.graph import Graph
 
@@ -39,7 +39,9 @@ def rehearsed(graph: Graph, candidate: Candidate, found: Designed, progress: Pro
 
     A simple law passes if it is not stopped and its error is at most `LIMIT`.
     """
-    key = sha256(f"{graph.text}{found.payload}".encode()).hexdigest()
+    limits = found.folder / LIMITS
+    text = limits.read_text(encoding="utf-8") if limits.exists() else ""
+    key = sha256(f"{graph.text}{found.payload}{text}".encode()).hexdigest()
     file = found.folder / REHEARSALS / f"{candidate.law}_{key[:8]}.json"
     kept = _kept(file, key)
     if kept is not None:
@@ -47,7 +49,7 @@ def rehearsed(graph: Graph, candidate: Candidate, found: Designed, progress: Pro
     else:
         progress.say("rehearsal", f"rehearsing {candidate.law}")
         try:
-            kept = graph.rehearse(REHEARSED, payload=found.payload).summary
+            kept = graph.rehearse(REHEARSED, payload=found.payload, limits=limits if text else None).summary
         except DmframeError as error:
             return Check("rehearsal", f"it cannot be rehearsed: {error.text}", passed=False)
         with writing(file.parent, "folder"):

@@ -16,9 +16,10 @@ from dmframe.common.files import write_text, writing
 from dmframe.design.checks import checks_of
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, worth
-from dmframe.design.designed import RACE, RESULTS, SUMMARY, Designed
+from dmframe.design.designed import LIMITS, RACE, RESULTS, SUMMARY, Designed
 from dmframe.design.family import Family, identified, makers
 from dmframe.design.handover import command_of, handed_over, set_aside
+from dmframe.design.limits import limits_text
 from dmframe.design.motion import Motion, first_path, motion_of, own_motion, tool_motion
 from dmframe.design.path_file import PathFile, read_path
 from dmframe.design.points import points_of
@@ -84,14 +85,24 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
     progress.say("robot", "reading the robot")
     first = first_graph(request.robot, found.folder, request.tool, dict(request.hold))
     chain = _saved(first, found.folder)
+    if sliding := [joint.name for joint in chain.joints if joint.kind == "prismatic"]:
+        reason = (
+            f"{sliding[0]} is a prismatic joint, and a robot with one cannot be rehearsed; hold it with --hold "
+            f"{sliding[0]}=POSITION"
+        )
+        return replace(found, reason=reason)
     path = None if request.path is None else read_path(request.path, chain)
     found = replace(found, task=request.task or (path.kind if path else "joints"))
     motion = _motion(request, path, first, chain)
     log = None
     if request.log is not None:
-        log = identify(request.log, request.robot, out=found.folder / LOG, say=lambda text: progress.say("robot", text))
+        graph = str(found.folder / FIRST)  # with the tool and the held joints of the request
+        log = identify(request.log, graph, out=found.folder / LOG, say=lambda text: progress.say("robot", text))
         if not log.known:
-            return replace(found, reason="no class of servo explains the log: see identified/report.html")
+            reason = (
+                "no class of servo explains the log: see identified/report.html; without --log the servo is assumed"
+            )
+            return replace(found, reason=reason)
         first, found = _identified(log, request, found)
         chain = _saved(first, found.folder)
         motion = _motion(request, path, first, chain)
@@ -101,7 +112,8 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
         family = makers(first, found.payload, motion.seconds)
     else:
         family = identified(log, found.payload, motion.seconds, found.clock)
-    found = replace(found, notes=motion.notes)
+    found = replace(found, notes=motion.notes, seconds=motion.seconds)
+    write_text(found.folder / LIMITS, limits_text(motion, chain))
     finished = _raced(first, family, motion, found, workers, progress)
     contest = Contest(finished, (finished.race.file.entrant, ADAPTIVE), workers)
     return _chosen(contest, finished.race, motion, family, replace(found, ranking=contest.ranking), progress)
@@ -120,7 +132,8 @@ def _saved(first: FirstGraph, folder: Path) -> SerialChain:
 def _identified(log: Identified, request: Request, found: Designed) -> tuple[FirstGraph, Designed]:
     """First graph of the identified robot, and its sampling period."""
     write_text(found.folder / TWIN, robot_text(log))
-    first = first_graph(str(found.folder / TWIN), found.folder, TOOL)
+    count = len(log.fit.unknowns.model.chain.joints)
+    first = first_graph(str(found.folder / TWIN), found.folder, TOOL, axes=(count, count))
     return first, replace(found, clock=request.clock or max(clock_of(log), CLOCK))
 
 

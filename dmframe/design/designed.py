@@ -19,6 +19,7 @@ RESULTS: Final = "race"
 PAGE: Final = "page.html"
 CONTROLLER: Final = "controller"
 COMMANDS: Final = "commands.txt"
+LIMITS: Final = "limits.yaml"
 
 
 @final
@@ -58,6 +59,8 @@ class Designed:
         How the user's path was changed.
     task
         What follows the path.
+    seconds
+        Duration of the runs of the comparison [s].
     """
 
     outcome: Outcome
@@ -75,6 +78,7 @@ class Designed:
     log: str = ""
     notes: Sequence[str] = ()
     task: str = "joints"
+    seconds: float = 48.0
 
     @property
     def unit(self) -> str:

@@ -12,7 +12,7 @@ from dmframe.common.files import write_text, writing
 from dmframe.common.units import plain
 from dmframe.design.checks import REHEARSED
 from dmframe.design.decide import Candidate
-from dmframe.design.designed import COMMANDS, CONTROLLER, GRAPH, PAGE, RACE, RESULTS, Check, Designed
+from dmframe.design.designed import COMMANDS, CONTROLLER, GRAPH, LIMITS, PAGE, RACE, RESULTS, Check, Designed
 from dmframe.design.progress import Progress
 from dmframe.design.request import Request
 from dmframe.graph.graph import Graph
@@ -39,6 +39,7 @@ def handed_over(
     if not (folder / CONTROLLER).exists():
         progress.say("export", "writing C")
         saved.export(folder / CONTROLLER)
+    files.append((LIMITS, "limits around the path, for drive and rehearse"))
     files.append((f"{CONTROLLER}/", "the controller as C99, with an example and a test"))
     progress.say("page", "writing the live page")
     try:
@@ -87,7 +88,8 @@ def commands(found: Designed) -> str:
         f"dmframe race {folder}/{RACE} --out {folder}/{RESULTS}",
         f"dmframe verify {folder}/{GRAPH}",
         f"dmframe analyse {folder}/{GRAPH}",
-        f"dmframe rehearse {folder}/{GRAPH} --until {REHEARSED:g} --payload '{found.payload:.6g} kg'",
+        f"dmframe rehearse {folder}/{GRAPH} --until {REHEARSED:g} --payload '{found.payload:.6g} kg' "
+        f"--limits {folder}/{LIMITS}",
         f"dmframe run {folder}/{GRAPH}",
     ]
     return "\n".join(lines) + "\n"

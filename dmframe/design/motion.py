@@ -11,7 +11,7 @@ import numpy as np
 from dmframe.common.errors import RobotError
 from dmframe.design.family import Block, rounded
 from dmframe.design.path_file import Array
-from dmframe.design.points import Points, fitted
+from dmframe.design.points import Points, fitted, speeds
 from dmframe.design.tool_path import Kinematics, followed
 from dmframe.graph.first import FirstGraph
 from dmframe.robot.chain import SerialChain
@@ -51,7 +51,7 @@ Error = Literal["joints", "tool"]
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Paths as sections of a race file.
 
@@ -59,6 +59,10 @@ class Motion:
     ----------
     start
         Where they start [rad, m].
+    ranges
+        Least and largest positions of each joint on the path that is handed over, (n, 2) [rad, m].
+    rates
+        Largest velocities of each joint on it, (n,) [rad/s, m/s].
     handed
         The held-out path of the graph that is handed over.
     error
@@ -71,6 +75,8 @@ class Motion:
 
     paths: Mapping[str, Block]
     start: list[float]
+    ranges: Array
+    rates: Array
     handed: str = NEVER
     error: Error = "joints"
     seconds: float = USUAL
@@ -103,7 +109,8 @@ def motion_of(first: FirstGraph) -> Motion:
         AGAIN: moving(np.full(center.size, again), repeats=again),
         NEVER: moving(slower * rate),
     }
-    return Motion(paths, rounded(center + amplitude * np.sin(phase)))
+    ranges = np.column_stack([center - np.abs(amplitude), center + np.abs(amplitude)])
+    return Motion(paths, rounded(center + amplitude * np.sin(phase)), ranges, np.abs(amplitude * slower * rate))
 
 
 def first_path(first: FirstGraph) -> Block:
@@ -135,7 +142,7 @@ def own_motion(points: Points, error: Error) -> Motion:
         OWN_RATE: _repeated(points, kind),
     }
     seconds = min(max(USUAL, 2 * points.period), LONGEST)
-    return Motion(paths, rounded(points.q[0]), OWN_RATE, error, seconds, points.notes)
+    return Motion(paths, rounded(points.q[0]), *points.extent, OWN_RATE, error, seconds, points.notes)
 
 
 def tool_motion(first: FirstGraph, chain: SerialChain, *, turns: bool) -> Motion:
@@ -168,7 +175,7 @@ def tool_motion(first: FirstGraph, chain: SerialChain, *, turns: bool) -> Motion
                 AGAIN: _repeated(eight, _kind("tool")),
                 NEVER: space.block(_kind("tool"), "repeats"),
             }
-            return Motion(paths, rounded(circle.q[0]), NEVER, "tool")
+            return Motion(paths, rounded(circle.q[0]), *space.extent, NEVER, "tool")
     raise RobotError(f"the robot follows no path of the tool near its best posture: {reasons[-1]}")
 
 
@@ -195,7 +202,7 @@ def _closed(
     q[-1] = q[0]
     rate = np.max(np.abs(np.gradient(q, s, axis=0)), axis=0)
     second = np.max(np.abs(np.gradient(np.gradient(q, s, axis=0), s, axis=0)), axis=0)
-    limits = SHARE * np.array([joint.velocity for joint in kinematics.chain.joints])
+    limits = SHARE * speeds(kinematics.chain)
     seconds = max(PASS, float(np.max(rate / limits)), float(np.sqrt(np.max(second) / ACCELERATION)))
     if seconds > LONGEST / 4:
         raise RobotError("its joints are too slow for it")

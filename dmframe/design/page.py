@@ -26,6 +26,8 @@ def as_html(found: Designed) -> str:
 def _sections(found: Designed) -> Iterator[Section]:
     if found.ranking is not None:
         yield Section("laws", "The laws", [_laws(found), Paragraph(_measure(found), note=True)])
+    if found.notes:
+        yield Section("path", "The path", [Bullets([(note,) for note in found.notes])])
     if found.checks:
         yield Section("checks", "The checks", [_checks(found)])
     if found.ranking is not None and not found.log:
@@ -49,7 +51,7 @@ def _laws(found: Designed) -> Table:
     unit = found.unit
     heads: list[Cell] = ["law", "kind", f"median, {unit}", f"largest, {unit}", "diverged", "tuned values"]
     count = len(found.ranking.candidates[0].errors)
-    caption = f"RMS error over the last eighth of 48 s, on {count} cells on which no law was tuned."
+    caption = f"RMS error over the last eighth of {found.seconds:g} s, on {count} cells on which no law was tuned."
     return Table(rows, heads, caption, kind="study", keys=True, numbers=(2, 3, 4))
 
 

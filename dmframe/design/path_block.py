@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 from dmframe.common.errors import ValueFault
 from dmframe.design.motion import first_path
 from dmframe.design.path_file import read_path
-from dmframe.design.points import After, Points, points_of, tool_points_of
+from dmframe.design.points import MANY, After, Points, points_of, tool_points_of
 from dmframe.graph.first import first_graph, is_robot
 from dmframe.graph.load import load
 from dmframe.identification.race_text import dumped
@@ -73,7 +73,7 @@ def path_block(
     chain, near = _chain(robot, tool, dict(hold or {}))
     found = read_path(file, chain)
     if found.kind == "joints" or joints:
-        points = points_of(found, chain, near)
+        points = points_of(found, chain, near, np.inf, MANY)
         kind = "waypoints" if found.kind == "joints" else "joint_waypoints"
         _check_after(after, points)
         return PathBlock(points.block(kind, after), {"q": points.block(kind, after)["q_d"][0]}, points.notes)

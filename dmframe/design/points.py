@@ -18,8 +18,8 @@ DENSE: Final = 2000
 """Points at which a path is compared with the limits, and with its block."""
 ALONG: Final = 400
 """Points of a tool path at which the inverse kinematics are solved."""
-FEWEST, MOST = 8, 64
-"""Numbers of points of a block that are tried, in powers of two."""
+FEWEST, MOST, MANY = 8, 64, 512
+"""Numbers of points of a block that are tried, in powers of two: up to `MOST` in a design, `MANY` in another graph."""
 DEVIATION: Final = 2e-4
 """Deviation of the block from the path at which no more points are added [rad, m]."""
 REFUSED: Final = 5e-3
@@ -59,6 +59,11 @@ class Points:
         """Time after which the repeated path is at its start again [s]."""
         return float(self.times[-1] - self.times[0]) * (1 if self.after == "repeats" else 2)
 
+    @property
+    def extent(self) -> tuple[Array, Array]:
+        """Least and largest positions (n, 2), and largest velocities (n,), at the points."""
+        return np.column_stack([self.q.min(axis=0), self.q.max(axis=0)]), np.max(np.abs(self.dq), axis=0)
+
     def slower(self, factor: float) -> Points:
         """The same points, passed with a velocity that is smaller by a factor."""
         rates = self.dq / factor, self.ddq / factor**2
@@ -72,7 +77,9 @@ class Points:
         return found | ({} if after == "stays" else {"after": after})
 
 
-def points_of(file: PathFile, chain: SerialChain, near: Array) -> Points:
+def points_of(
+    file: PathFile, chain: SerialChain, near: Array, hardest: float = ACCELERATION, most: int = MOST
+) -> Points:
     """The path of a file for the joints of a robot.
 
     A path of the tool is followed by inverse kinematics. A path that starts or ends with a velocity is passed more
@@ -82,6 +89,10 @@ def points_of(file: PathFile, chain: SerialChain, near: Array) -> Points:
     ----------
     near
         Posture near which a path of the tool starts [rad, m].
+    hardest
+        Largest acceleration of a joint [rad/s^2, m/s^2].
+    most
+        Largest number of points.
 
     Raises
     ------
@@ -98,22 +109,24 @@ def points_of(file: PathFile, chain: SerialChain, near: Array) -> Points:
     if ramped:
         notes.append(_slower(ramped))
     t = np.linspace(0.0, duration, DENSE)
-    check_limits(t, path(t), chain)
-    return fitted(path, duration, tuple(notes))
+    check_limits(t, path(t), chain, hardest)
+    return fitted(path, duration, tuple(notes), most=most)
 
 
 def tool_points_of(file: PathFile, axes: str) -> Points:
     """The positions of the tool of a file, in the task's coordinates, without a robot; see `points_of`."""
     columns = ["xyz".index(axis) for axis in axes]
     path, duration, ramped = _at_rest(_interpolated(replace(file, rows=file.rows[:, columns])), float(file.times[-1]))
-    return fitted(path, duration, (*file.notes, *([_slower(ramped)] if ramped else [])), "m")
+    return fitted(path, duration, (*file.notes, *([_slower(ramped)] if ramped else [])), "m", MANY)
 
 
 def _slower(ramp: float) -> str:
     return f"the path starts or ends with a velocity, and is passed more slowly for {ramp:.3g} s there"
 
 
-def fitted(path: Callable[[Array], Array], duration: float, notes: tuple[str, ...] = (), unit: str = "rad") -> Points:
+def fitted(
+    path: Callable[[Array], Array], duration: float, notes: tuple[str, ...] = (), unit: str = "rad", most: int = MOST
+) -> Points:
     """Points of a path that rests at its ends, with velocities and accelerations; see `points_of`."""
     t = np.linspace(0.0, duration, DENSE)
     q = path(t)
@@ -127,12 +140,12 @@ def fitted(path: Callable[[Array], Array], duration: float, notes: tuple[str, ..
             rows[-1] = rows[0]
         found = Points(times, rows, rates, second, 0.0, notes)
         deviation = float(np.max(np.abs(followed_by(found, t) - q)))
-        if deviation <= DEVIATION or count >= MOST:
+        if deviation <= DEVIATION or count >= most:
             break
         count *= 2
     if deviation > REFUSED:
         raise RobotError(
-            f"expected a path that {MOST} points describe, found a deviation of {plain(deviation, unit)}; cut it into "
+            f"expected a path that {most} points describe, found a deviation of {plain(deviation, unit)}; cut it into "
             "parts"
         )
     said = (f"{count + 1} points describe the path, with a deviation of at most {plain(deviation, unit)}",)
@@ -150,7 +163,7 @@ def followed_by(points: Points, t: Array) -> Array:
     return np.asarray(weights @ points.q + (weights * since) @ points.dq + (weights * since**2 / 2) @ points.ddq)
 
 
-def check_limits(t: Array, q: Array, chain: SerialChain) -> None:
+def check_limits(t: Array, q: Array, chain: SerialChain, hardest: float) -> None:
     """Raise `RobotError` for a path outside of the range, the velocity or the acceleration of a joint."""
     dq = np.gradient(q, t, axis=0)
     ddq = np.gradient(dq, t, axis=0)[2:-2]
@@ -164,19 +177,24 @@ def check_limits(t: Array, q: Array, chain: SerialChain) -> None:
                 f"{q[k, j]:.4g} {unit} after {t[k]:.3g} s"
             )
     rates = [np.max(np.abs(values), axis=0) for values in (dq, ddq)]
-    limits = np.array([joint.velocity for joint in chain.joints])
-    slower = np.maximum(rates[0] / limits, np.sqrt(rates[1] / ACCELERATION))
+    limits = speeds(chain)
+    slower = np.maximum(rates[0] / limits, np.sqrt(rates[1] / hardest))
     j = int(np.argmax(slower))
     if slower[j] <= 1:
         return
     joint, unit = chain.joints[j], "rad" if chain.joints[j].kind == "revolute" else "m"
     need = f"a velocity of {plain(rates[0][j], f'{unit}/s')}, whose limit is {plain(joint.velocity, f'{unit}/s')}"
-    if rates[0][j] <= joint.velocity:
+    if rates[0][j] <= limits[j]:
         need = (
             f"an acceleration of {plain(rates[1][j], f'{unit}/s^2')}, and the compared laws are for at most "
-            f"{ACCELERATION:g} {unit}/s^2"
+            f"{hardest:g} {unit}/s^2"
         )
     raise RobotError(f"the path requires of {joint.name} {need}: pass it in {slower[j]:.3g} times its time")
+
+
+def speeds(chain: SerialChain) -> Array:
+    """Velocity limits of the joints; infinite if there are none, for which some files have 0."""
+    return np.array([joint.velocity if joint.velocity > 0 else np.inf for joint in chain.joints])
 
 
 def _interpolated(file: PathFile) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from xml.sax.saxutils import escape, quoteattr
@@ -13,7 +14,8 @@ from dmframe.drawing.layout import MARGIN, Layout, Placed, lay_out, segments
 from dmframe.drawing.netlist import Wired, netlist
 
 _STYLE = """
-text { font-family: Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif; fill: #111; font-size: 11px }
+text { font-family: system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'Liberation Sans', sans-serif }
+text { fill: #1c2326; font-size: 11px }
 .title { font-size: 16px; font-weight: bold }
 .name { font-size: 13px; font-weight: bold; text-anchor: middle }
 .kind { font-style: italic; fill: #333; text-anchor: middle }
@@ -27,7 +29,12 @@ text { font-family: Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-ser
 .wall { stroke: #111; stroke-width: 2.2; stroke-dasharray: 9 5 }
 .mark { fill: #fff; stroke: #111; stroke-width: 0.9 }
 .small { font-size: 9.5px; text-anchor: middle }
+.sub { font-size: 0.78em; font-style: normal }
 """
+_INDEXED = re.compile(r"(?<![\w\u0300-\u036f])([^\W\d_]{1,2}[\u0300-\u036f]*)_(\w[\w\u0300-\u036f]*)")
+"""A symbol of one or two letters, perhaps with an accent, and its index: q_ref, w_P, mc_x2."""
+_LOWER = 2.5
+"""Shift of an index below its line [pixels]."""
 _HEAD, _FOOT = 62.0, 34.0
 _CONTROLLER, _PLANT = "controller", "robot and servo"
 
@@ -116,10 +123,10 @@ def _box(item: Placed) -> Iterator[str]:
     yield _text(middle, item.y + 18, box.name, "name")
     yield _text(middle, item.y + 33, box.kind, "kind")
     for pin, height in item.inputs.items():
-        yield _text(item.x + 7, item.y + height + 4, unicode_name(pin), "pin")
+        yield _text(item.x + 7, item.y + height + 4, unicode_name(pin), "pin", symbols=True)
     first = item.y + item.height - 6 - 13 * (len(item.states) - 1)
     for index, line in enumerate(item.states):
-        yield _text(middle, first + 13 * index, line, "states")
+        yield _text(middle, first + 13 * index, line, "states", symbols=True)
     yield "</g>"
 
 
@@ -157,7 +164,7 @@ def _labels(layout: Layout) -> Iterator[str]:
     """Signal names at outputs, and on bypasses."""
     for item in layout.placed.values():
         for port in item.outputs:
-            yield _text(item.x + item.width + 5, item.output_y(port) - 4, unicode_name(port), "label")
+            yield _text(item.x + item.width + 5, item.output_y(port) - 4, unicode_name(port), "label", symbols=True)
     for (end, direction), (height, first, last) in layout.bypasses.items():
         source = layout.placed[end[0]].column
         under = {source + 1 if direction == "top" else source}
@@ -165,7 +172,7 @@ def _labels(layout: Layout) -> Iterator[str]:
             under |= {i for i in range(first, last) if _last_before(layout, i)}
         for index in sorted(under):
             left, right = layout.spans[index]
-            yield _text((left + right) / 2, height - 4, unicode_name(end[1]), "label middle")
+            yield _text((left + right) / 2, height - 4, unicode_name(end[1]), "label middle", symbols=True)
 
 
 def _last_before(layout: Layout, index: int) -> bool:
@@ -179,6 +186,14 @@ def _arrow(x: float, y: float, direction: int) -> str:
     return f'<path d="M{x:g} {y:g}l{-8 * direction} -3.4v6.8z" fill="#111"/>'
 
 
-def _text(x: float, y: float, text: str, kind: str, anchor: str = "") -> str:
+def _text(x: float, y: float, text: str, kind: str, anchor: str = "", *, symbols: bool = False) -> str:
+    """A text; the indices of `symbols` are subscripts."""
     placed = f' text-anchor="{anchor}"' if anchor else ""
-    return f'<text class="{kind}" x="{x:g}" y="{y:g}"{placed}>{escape(text)}</text>'
+    shown = _INDEXED.sub(_subscript, escape(text)) if symbols else escape(text)
+    return f'<text class="{kind}" x="{x:g}" y="{y:g}"{placed}>{shown}</text>'
+
+
+def _subscript(found: re.Match[str]) -> str:
+    """A subscript, and after it the former line for what follows."""
+    index = found[2].replace("_", ",")
+    return f'{found[1]}<tspan class="sub" dy="{_LOWER}">{index}</tspan><tspan dy="-{_LOWER}">\u200b</tspan>'

@@ -130,15 +130,26 @@ def _path(axes: Any, element: Any, shift: float, order: int) -> None:
                   solid_capstyle="round")  # fmt: skip
 
 
+def _with_indices(element: Any) -> str:
+    """Text of an element; indices as mathematical text of matplotlib."""
+    pieces = [element.text or ""]
+    for span in element:
+        word = (span.text or "").replace("\u200b", "")
+        index = span.get("class") == "sub"
+        pieces += [rf"$_{{\mathrm{{{word}}}}}$" if index else word, span.tail or ""]
+    return "".join(pieces)
+
+
 def _text(axes: Any, element: Any, shift: float, order: int) -> None:
     look: dict[str, Any] = {"fontsize": 11, "color": _DARK}
     for word in element.get("class", "").split():
         look |= _TEXTS.get(word, {})
     look["ha"] = _ANCHORS.get(element.get("text-anchor", ""), look.get("ha", "left"))
     look["fontsize"] = _points(look["fontsize"]) * _NARROW
+    text = _with_indices(element)
     drawn = axes.text(
-        float(element.get("x")), float(element.get("y")) + shift, element.text or "", va="baseline", zorder=order,
-        parse_math=False, **look,
+        float(element.get("x")), float(element.get("y")) + shift, text, va="baseline", zorder=order,
+        parse_math="$" in text, **look,
     )  # fmt: skip
     if "label" in element.get("class", "").split():
         from matplotlib.patheffects import withStroke

@@ -75,7 +75,12 @@ def is_robot(name: str) -> bool:
 
 
 def first_graph(
-    name: str, folder: Path, tool: str | None = None, hold: Mapping[str, float] | None = None
+    name: str,
+    folder: Path,
+    tool: str | None = None,
+    hold: Mapping[str, float] | None = None,
+    *,
+    axes: tuple[int, int] = AXES,
 ) -> FirstGraph:
     """A graph with which a robot runs and verifies.
 
@@ -85,11 +90,12 @@ def first_graph(
     folder : where the graph will be
     tool : frame at the end of the arm; by default the flange
     hold : joints between the base and the tool that do not move, with their positions [rad, m]
+    axes : least and largest number of moving joints of a robot file
 
     Raises
     ------
     MissingError, RobotError, UnknownNameError
-        The file cannot be read, or the robot is not an arm of 4 to 7 axes.
+        The file cannot be read, or the robot is not an arm of so many axes.
     """
     hold = dict(hold or {})
     if not name.lower().endswith(FORMATS):
@@ -101,7 +107,7 @@ def first_graph(
     for element, fault in tree_faults(file.root):
         raise RobotError(f"{where}: {element.tag} {element.get('name') or 'without a name'}: {fault}")
     frame = tool or flange_of(file.root, where)
-    _check_axes(file.root, frame, hold, where)
+    _check_axes(file.root, frame, hold, where, axes)
     before = ElementTree.tostring(file.root)
     notes = repaired(file.root, frame, where)
     changed = file.converted or ElementTree.tostring(file.root) != before
@@ -126,7 +132,7 @@ def first_graph(
     )
 
 
-def _check_axes(root: Element, frame: str, hold: Mapping[str, float], where: str) -> None:
+def _check_axes(root: Element, frame: str, hold: Mapping[str, float], where: str, axes: tuple[int, int]) -> None:
     """Refuse a tool whose arm has too few or too many axes."""
     if frame not in {link.get("name") for link in root.iter("link")}:
         return  # reported with the names of the frames when the robot is read
@@ -135,7 +141,7 @@ def _check_axes(root: Element, frame: str, hold: Mapping[str, float], where: str
         for joint in joints_to(root, frame)
         if joint.get("type") in MOVING and joint.find("mimic") is None and joint.get("name") not in hold
     ]
-    least, most = AXES
+    least, most = axes
     if least <= len(moving) <= most:
         return
     listed = f" ({', '.join(moving)})" if moving else ""
@@ -241,12 +247,13 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         inertia = np.maximum(inertia, np.diag(data.M))
         torque = np.maximum(torque, np.abs(pin.computeGeneralizedGravity(chain.model, data, configuration)))
         motion = np.full(chain.n, SPEED), np.full(chain.n, ACCELERATION)
-        regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, *motion)
+        # Pinocchio drops the axis of a single joint
+        regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, *motion).reshape(chain.n, -1)
         # the columns of a rotor and of viscous and Coulomb friction have one element each
         rows = np.maximum(rows, np.sum(regressor**2, axis=1) + ACCELERATION**2 + SPEED**2 + 1)
         jacobian = pin.computeFrameJacobian(
             chain.model, data, configuration, chain.model_tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )[:3]
+        ).reshape(6, -1)[:3]
         values = np.linalg.svd(jacobian, compute_uv=False)
         margin = np.min(np.minimum(q - lower, upper - q) / np.maximum(upper - lower, 1e-9))
         score = values[min(chain.n, 3) - 1] / max(values[0], 1e-9) * min(1.0, 4 * margin)

@@ -97,7 +97,8 @@ def assembled(content: dict[str, Any]) -> str:
     """
     web = files("dmframe.page").joinpath("web")
     texts = {name: _bare(web.joinpath(name).read_text("utf-8")) for name in ("page.html", "page.css", *SCRIPTS)}
-    script, style = "\n".join(texts[name] for name in SCRIPTS), texts["page.css"]
+    look = files("dmframe.report").joinpath("look.css").read_text("utf-8")
+    script, style = "\n".join(texts[name] for name in SCRIPTS), f"{_bare(look)}{texts['page.css']}"
     parts = {
         "TITLE": _escaped(content["title"] or content["name"]),
         "POLICY": policy(f"\n{script}\n", f"\n{style}\n"),

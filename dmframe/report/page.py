@@ -13,6 +13,8 @@ from dmframe.report.references import reference
 from dmframe.report.tags import Html, joined, plain, tag
 
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_STYLES: Final = ("look.css", "report.css")
+"""Colours and fonts, which live pages have too, and the layout of a report."""
 _NARROW: Final = Html("""\
 .dmframe p { margin: 0.4em 0 }
 .dmframe .columns { display: flex; gap: 2em }
@@ -39,10 +41,17 @@ def document(title: str, body: Sequence[Html]) -> str:
         Html(f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}"/>'),
         Html('<meta name="viewport" content="width=device-width, initial-scale=1"/>'),
         tag("title", plain(title)),
-        tag("style", Html(files("dmframe.report").joinpath("report.css").read_text(encoding="utf-8"))),
+        tag(
+            "style",
+            Html("".join(files("dmframe.report").joinpath(name).read_text(encoding="utf-8") for name in _STYLES)),
+        ),
     ]
     page = tag("html", tag("head", joined(head)), Html("\n"), tag("body", joined(body)), lang="en")
     return f"<!DOCTYPE html>\n{page}\n"
+
+
+def _style(name: str) -> str:
+    return files("dmframe.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def _named(content: Content, kind: str = "") -> list[Html]:

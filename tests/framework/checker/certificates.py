@@ -28,14 +28,14 @@ def checker() -> ModuleType:
 
 
 @cache
-def _text(name: str) -> str:
+def text_of(name: str) -> str:
     graph = dm.load(name)
     return certificate_text(graph.verify().verdict, {"graph": name}, graph.intervals())
 
 
 def certificate(name: str) -> dict[str, Any]:
     """A fresh copy of a graph's certificate."""
-    found: dict[str, Any] = json.loads(_text(name))
+    found: dict[str, Any] = json.loads(text_of(name))
     return deepcopy(found)
 
 

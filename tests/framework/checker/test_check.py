@@ -16,8 +16,8 @@ import pytest
 
 import dmframe as dm
 from dmframe.catalogue import graphs
-from dmframe.certify.published import certificate_schema
-from tests.framework.checker.certificates import CHECKER, certificate, checker, outcome, replaced
+from dmframe.certify.published import certificate_schema, certificate_text
+from tests.framework.checker.certificates import CHECKER, certificate, checker, outcome, replaced, text_of
 
 
 @pytest.mark.parametrize("name", sorted(graphs()))
@@ -30,6 +30,9 @@ def test_every_proved_graph_is_proved_again(name: str) -> None:
     found = checker().check(data)
     assert found["status"] == "re-proved"
     assert found["log2_error"] <= -300
+    again = graph.verify().verdict
+    texts = [certificate_text(again, {"graph": name}, graph.intervals()) for _ in range(2)]
+    assert texts == [text_of(name)] * 2
     if name in ("pendulum", "arm2_joint", "theorem_3", "ur10_fast", "ur10_pose"):
         goals = {f"{item.signal} {item.says}" for item in graph.verify().verdict.statements if item.concludes}
         assert goals

@@ -223,6 +223,21 @@ def test_a_robot_that_is_no_arm_is_blocked_and_an_unknown_one_is_an_error(tmp_pa
     assert json.loads((tmp_path / "few" / "design.json").read_text())["outcome"] == "blocked"
 
 
+def test_an_arm_with_a_prismatic_joint_is_blocked_at_once_with_the_remedy(tmp_path: Path) -> None:
+    text = '<robot name="made"><link name="l0"/>'
+    for k in range(1, 6):
+        kind = "prismatic" if k == 3 else "revolute"
+        text += (
+            f'<link name="l{k}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+            f'</inertial></link><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/><child link="l{k}"/>'
+            f'<origin xyz="0.2 0 0.1"/><axis xyz="{k % 2} 0 {1 - k % 2}"/>'
+            '<limit lower="-1" upper="1" velocity="1" effort="100"/></joint>'
+        )
+    (tmp_path / "scara.urdf").write_text(f"{text}</robot>")
+    found = module.design(Request.of(str(tmp_path / "scara.urdf")), tmp_path / "d")
+    assert (found.outcome, "hold it with --hold j3=POSITION" in found.reason) == ("blocked", True)
+
+
 class Rehearsing:
     """A graph whose rehearsal has given errors [rad]; None for a run that was stopped."""
 

@@ -275,6 +275,8 @@ def test_the_command_writes_a_path_that_a_graph_follows(tmp_path: Path) -> None:
     label = "path.q_d"
     np.testing.assert_allclose(run[label][np.searchsorted(run.time, 3.0)], q[-1], atol=1e-4)
     np.testing.assert_allclose(run[label][-1], q[0], atol=1e-4)
+    fast = csv(tmp_path / "fast.csv", ["t", *chain.joint_names], t / 3, q)  # 1.3 rad/s^2 is a limit of designs alone
+    assert path_block(fast, str(graph)).block["times"][-1] == pytest.approx(1.0)
     with pytest.raises(ValueFault, match="stays or returns"):
         path_block(tmp_path / "p.csv", str(graph), after="repeats")
     assert "found always" in CliRunner().invoke(app, ["path", "a.csv", "ur5e", "--after", "always"]).exception.args[0]  # type: ignore[union-attr]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 
 import pytest
@@ -19,7 +20,16 @@ def diagram(request):
 
 
 def texts(root, kind):
-    return [item.text for item in root.iter(f"{SVG}text") if kind in item.get("class", "").split()]
+    return [written(item) for item in root.iter(f"{SVG}text") if kind in item.get("class", "").split()]
+
+
+def written(item):
+    """A text with its subscripts written as in a graph, x_d_1."""
+    pieces = [item.text or ""]
+    for span in item:
+        word = span.text.strip("\u200b").replace(",", "_")
+        pieces += [f"_{word}" if span.get("class") == "sub" else word, span.tail or ""]
+    return "".join(pieces)
 
 
 def test_the_picture_is_well_formed_and_self_contained(diagram):
@@ -51,6 +61,20 @@ def test_each_wire_is_labelled_and_states_from_where_to_where(diagram):
             assert unicode_name(source.port) in labels
             (line,) = [text for text in titles if text.startswith(f"{source.block}.{source.port} -> ")]
             assert f"{name}.{port}" in line
+
+
+def test_indices_are_subscripts_and_the_line_goes_on_after_them(diagram):
+    root = ET.fromstring(svg(diagram))
+    symbols = [item for kind in ("pin", "label", "states") for item in of(root, kind)]
+    assert any(span.get("class") == "sub" for item in symbols for span in item)
+    for item in symbols:
+        plain = "".join(part for part in (item.text, *(span.tail for span in item)) if part)
+        assert not re.search(r"(^|\s)[^\W\d_]{1,2}_", plain)
+        assert sum(float(span.get("dy")) for span in item) == 0
+
+
+def of(root, kind):
+    return [item for item in root.iter(f"{SVG}text") if kind in item.get("class", "").split()]
 
 
 def test_derived_inputs_are_marked_and_the_wall_is_named(diagram):

@@ -198,3 +198,8 @@ def test_a_robot_is_a_name_or_a_file():
     assert is_robot("ur10e")
     assert is_robot("my.urdf.xacro")
     assert not is_robot("ur30")
+
+
+def test_an_arm_of_one_joint_has_a_first_graph() -> None:
+    found = first_graph("pendulum", Path())
+    assert "type: pid_servo" in found.text

@@ -1,0 +1,40 @@
+"""Limits for a drive of the designed graph, with which it is rehearsed."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from dmframe.design.motion import Motion
+from dmframe.design.points import speeds
+from dmframe.identification.race_text import dumped
+from dmframe.robot.chain import SerialChain
+
+AROUND: Final = 0.3
+"""Distance of a position limit from the path [rad]."""
+FASTER: Final = 2.0
+LEAST: Final = 0.3
+"""Velocity limit relative to the path, and its least value [rad/s]."""
+ACCELERATION: Final = 15.0
+"""Acceleration limit of commands [rad/s^2], about ten times what the channel of a UR passes on."""
+
+
+def limits_text(motion: Motion, chain: SerialChain) -> str:
+    """A file for ``dmframe drive --limits``: the path with margins, inside the limits of the robot."""
+    names = chain.joint_names
+    ends = np.array([[joint.lower, joint.upper] for joint in chain.joints])
+    low = np.maximum(motion.ranges[:, 0] - AROUND, ends[:, 0])
+    high = np.minimum(motion.ranges[:, 1] + AROUND, ends[:, 1])
+    fast = np.minimum(np.maximum(FASTER * motion.rates, LEAST), speeds(chain))
+    data = {
+        "dmframe-limits": 1,
+        "speed": {name: _number(value) for name, value in zip(names, fast, strict=True)},
+        "acceleration": ACCELERATION,
+        "position": {name: [_number(a), _number(b)] for name, a, b in zip(names, low, high, strict=True)},
+    }
+    return dumped(data)
+
+
+def _number(value: float) -> float:
+    return float(f"{value:.6g}")
