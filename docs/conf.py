@@ -24,11 +24,11 @@ extensions = [
 
 # Pages
 root_doc = "index"
-default_role = "py:obj"  # a name in a docstring is a link where the site documents it, and code elsewhere
+default_role = "py:obj"  # a name in a docstring is a link if the site documents it, and code otherwise
 myst_enable_extensions = ["amsmath", "attrs_block", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 myst_dmath_double_inline = True
-suppress_warnings = ["ref.citation"]  # that a source in the bibliography is cited is a test's matter
+suppress_warnings = ["ref.citation"]  # a test checks that each source in the bibliography is cited
 
 # Notebooks: each is run, and an error in one stops the build
 nb_execution_mode = "force"

@@ -3,7 +3,7 @@
     python docs/make_site.py [--check] [FOLDER]
 
 The site is written to FOLDER, ``build/docs`` by default, as plain files. Pages that are made from the code, such as
-those of the blocks, never stand among those that people write. ``--check`` gathers the pages, and sets none.
+those of the blocks, are never among the hand-written pages. ``--check`` collects the pages without building them.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _emptied(cache: Path) -> None:
 def claim(folder: Path) -> None:
     """Mark a folder as written by this script, which removes all other files from it.
 
-    Ends the program where there are files that it did not make.
+    Ends the program if there are files that it did not make.
     """
     mark, built = folder / MARK, folder.is_relative_to(ROOT / "build")
     if not (built or mark.exists()) and (folder.is_file() or (folder.is_dir() and any(folder.iterdir()))):
@@ -111,13 +111,13 @@ def _quiet_kernels(folder: Path) -> None:
 
 
 def options() -> list[str]:
-    """Of Sphinx: in a terminal it counts the pages that it reads and writes, in one line."""
+    """Stream for Sphinx's output: in a terminal it counts the pages that it reads and writes, in one line."""
     quiet = [] if sys.stdout.isatty() else ["-q"]
     return ["-W", "--keep-going", *quiet, "-j", "2"]
 
 
 def main() -> int:
-    """Returns Sphinx's status."""
+    """Run Sphinx; returns its status."""
     parser = argparse.ArgumentParser(description="Build the site.")
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "docs", metavar="FOLDER")
     parser.add_argument("--check", action="store_true", help="gather the pages only")
@@ -140,7 +140,7 @@ def main() -> int:
         sys.stderr.write(f"{text}\n")
         status = 1
     if status:
-        _emptied(cache)  # or the next build would pass over what this one warned of
+        _emptied(cache)  # otherwise the next build would skip the page with the warning
     else:
         sys.stdout.write(f"the site: {site / 'index.html'}\n")
     return status

@@ -29,6 +29,11 @@ WORDS: Final[dict[str, str]] = {
     "lanes?": "SIMD batch",
     "is said|are said|says nothing|nothing is said": "name what is reported, and where",
     "it errs": "the error is",
+    "anew": "again",
+    "somebody|anybody|someone": "name the subject",
+    "what becomes of|of its own accord|for want of|so far as|may well": "state the result, the cause, the condition",
+    "speaks?": "states",
+    "beneath|upon": "below, on",
 }
 """Pattern of the private word, and what to write."""
 
@@ -50,7 +55,6 @@ PROSE: Final[dict[str, str]] = {
 PACKAGE: Final[dict[str, str]] = {
     "led onto|led on|(?:is|are) led": "approaches, follows",
     "rests where|floats? finds?": "is at, in floating point",
-    "so far as": "if, up to",
     "blew up|blows up|wild": "diverged, non-finite",
     "gives? way": "is replaced",
     "stands? (?:behind|below)": "follows, is below",
@@ -62,10 +66,9 @@ PACKAGE: Final[dict[str, str]] = {
     "shelf": "registry, catalogue",
     "risky": "domain condition",
     "(?:laws?|files?) says?|what became of": "name what is given, and where",
-    "anew": "again",
     "honest|honestly": "correct, true",
     "feels?": "is affected by, affects",
-    "speaks? of|obeys?": "names, states; satisfies",
+    "obeys?": "satisfies",
     "plainest|outgrows?": "simplest; grows faster than",
     "numbers? says? so|has an inside": "the number is set; has an interior",
 }

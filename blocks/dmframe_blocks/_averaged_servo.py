@@ -1,6 +1,6 @@
 """Averaged model of a closed servo over one sample, linear in constant parameters of each joint.
 
-Averaged over a sample of length T with the command u held, each joint of a robot behind a PID position servo obeys
+Averaged over a sample of length T with the command u held, each joint of a robot behind a PID position servo satisfies
 
     u - v = psi' theta,    psi = (e, z + T e/2, 1, [Y_p(m, v) - Y_p before]/T - Y_c(m, v) + Y_g(m), v, phi(v))
 

@@ -98,7 +98,7 @@ class ComputedTorque(AbstractBlock):
         if truth.direct.is_zero():
             text = sentence(
                 "{M_hat} stays uniformly positive definite, so that where the prediction error vanishes the tracking "
-                "error obeys its stable linear equation"
+                "error satisfies its stable linear equation"
             )
             return (Assumption(text, "eqs. (54), (58)"),)
         return ()

@@ -174,8 +174,10 @@ def _stepping(claim: Claim, block: str, port: str) -> str:
     """The part of V that jumps at a step: states are continuous, so that only parts that contain the signal jump."""
     leaf = symbols_in([claim.diagram.resolver.trajectory(block, port, 0).symbol])
     holding = [part.block for part in claim.parts if symbols_in([part.storage]) & leaf]
-    jumps = f"what {listed(holding)} store{'s' * (len(holding) == 1)}, and nothing else" if holding else "nothing"
-    return f"; there jumps {jumps}"
+    if not holding:
+        return "; no storage function jumps at a step"
+    name, jump = ("function", "jumps") if len(holding) == 1 else ("functions", "jump")
+    return f"; at a step only the storage {name} of {listed(holding)} {jump}"
 
 
 def _measured(diagram: Diagram) -> Iterator[Assumption]:

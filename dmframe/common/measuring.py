@@ -1,4 +1,4 @@
-"""Texts and ticks of matplotlib measured once, where matplotlib measures them at each step of a layout.
+"""Caches of text extents and ticks of matplotlib, which recomputes them at each step of a layout.
 
 A layout computes the ticks of each axis up to twelve times, and measures each label as often, which takes a third of
 the time of a figure. In this context ticks are computed again only if the limits or the size of an axis have changed.
@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 MOST: Final = 4096
-"""Layouts of texts that are kept."""
+"""Cached layouts of texts."""
 
 _layouts: dict[Any, Any] = {}
 
@@ -29,7 +29,7 @@ def measured_once() -> Iterator[None]:
     def update_ticks(axis: Any) -> Any:
         state = (*axis.get_view_interval(), *axis.axes.bbox.bounds, axis.axes.figure.dpi, axis.get_scale())
         if id(axis) not in known or known[id(axis)][1] != state:
-            known[id(axis)] = (axis, state, ticks(axis))  # with the axis, whose number no other then has
+            known[id(axis)] = (axis, state, ticks(axis))  # with the axis, so that its id is not reused
         return known[id(axis)][2]
 
     def get_layout(text: Any, renderer: Any) -> Any:

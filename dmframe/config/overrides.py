@@ -1,6 +1,6 @@
 """Overrides of values in a graph file: ``--set task.gamma=2``, or ``graph.set({"task.gamma": 2})``.
 
-They are set in the document itself, so that everything that reads it later, former names included, reads one text.
+They are set in the document itself, so that every later reader, former names included, uses one text.
 Each node records the override that set it, so that a fault in it can name the override.
 """
 
@@ -22,7 +22,7 @@ LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
 NAMED: Final = {"robot": "model", "reality": "like"}
 """Sections that may be given as a name only, and the key of that name."""
 _INNER = re.compile(r", first at :\d+:\d+")
-"""A place in the line that the parser reads for an override; it is in no file of the user's."""
+"""Place within the text of an override, in a parser message; it belongs to no file of the user."""
 _COMMENT = re.compile(r"(?:^|\s)#")
 
 

@@ -91,11 +91,12 @@ def worth(candidate: Candidate, simple: Candidate | None) -> str:
         return ""
     ratios = np.array(candidate.errors) / np.maximum(simple.errors, 1e-12)
     median, often = float(np.median(ratios)), float(np.mean(ratios <= NEARLY))
+    own = f"the error of {candidate.law}"
     if median > WORTH:
-        return f"its error is {median:.2g} of that of {simple.law} in the median, and at most {WORTH:g} is required"
+        return f"{own} is {median:.2g} of that of {simple.law} in the median, and at most {WORTH:g} is required"
     if often < OFTEN:
         return (
-            f"its error is at most {NEARLY:g} of that of {simple.law} in {100 * often:.0f} % of the cells, and "
+            f"{own} is at most {NEARLY:g} of that of {simple.law} in {100 * often:.0f} % of the cells, and "
             f"{100 * OFTEN:.0f} % are required"
         )
     return ""

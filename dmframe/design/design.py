@@ -180,10 +180,11 @@ def _chosen(
 ) -> Designed:
     """The best adaptive law that is worth it and passes its checks, else the best simple one."""
     simple = contest.ranking.best(adaptive=False)
-    why = "each adaptive law diverged on one of the plants"
+    reasons = dict[str, str]()  # the first against each adaptive law: that of its best values
     for candidate in contest.candidates(adaptive=True):
         found = replace(found, ranking=contest.ranking.including(candidate))
         if why := worth(candidate, simple):
+            reasons.setdefault(candidate.law, why)
             break
         graph = _graph_of(race, candidate, motion, family)
         checks = list(checks_of(graph, candidate, found, progress))
@@ -192,7 +193,9 @@ def _chosen(
             reason = f"{_against(candidate, simple, found.unit)}; {checks[0].text}"
             designed = replace(found, outcome="adaptive", reason=reason)
             return handed_over(graph, designed, candidate, simple, checks, progress)
-        why = f"{candidate.law} has a smaller error, but {failed[0].text}"
+        reasons.setdefault(candidate.law, f"{candidate.law} has a smaller error, but {failed[0].text}")
+    why = "; ".join(reasons.values()) or "each adaptive law diverged on one of the plants"
+    found = replace(found, ranking=contest.ranking)
     return _simple(contest, race, motion, family, found, why, progress)
 
 

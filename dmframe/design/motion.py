@@ -38,6 +38,8 @@ LONGEST: Final = 120.0
 SCALES: Final = 0.8 ** np.arange(14)
 """Sizes of the paths of the tool that are tried, relative to its reach times `LARGEST`."""
 LARGEST: Final = 0.12
+FEW: Final = 32
+"""Largest number of points of such a path: more take longer to compile, and the path is that of its points."""
 CURVE: Final = 120
 """Points at which a path of the tool is computed."""
 TURN: Final = 0.2
@@ -209,7 +211,7 @@ def _closed(
     from scipy.interpolate import CubicSpline
 
     spline = CubicSpline(seconds * s, q, bc_type="clamped")
-    return fitted(spline, seconds)
+    return fitted(spline, seconds, most=FEW)
 
 
 def _repeated(points: Points, kind: str) -> Block:

@@ -1,4 +1,4 @@
-"""Which column of a log is which signal: names of ur_rtde recordings, plain names, and names that the user gives."""
+"""Columns of a log by signal: names of ur_rtde recordings, plain names, and names given by the user."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _recalled: list[dict[str, Any]] = []
 
 
 def recall(entry: dict[str, Any]) -> None:
-    """Use what was kept of the call of this process."""
+    """Read the cached conclusions for the call of this process."""
     _recalled[:] = entry["conclusions"]
 
 
@@ -26,7 +26,7 @@ def recalled(count: int) -> Sequence[dict[str, Any]]:
 
 
 def keep(watching: recorder.Recorder | None, conclusions: Sequence[dict[str, Any]]) -> bool:
-    """Keep the conclusions of the call that `watching` recorded; returns whether they were kept."""
+    """Store the conclusions of the call that `watching` recorded; returns True if they were stored."""
     entry = watching.entry() if watching is not None else None
     if watching is None or entry is None:
         return False

@@ -1,6 +1,6 @@
-"""The first thing that ``dmframe verify`` does: find the verdict that was kept, if nothing has changed since.
+"""Start of ``dmframe verify``: look up a cached verdict with unchanged inputs.
 
-It runs before CasADi, Pinocchio and the command line's library are imported, which take longer than all of this.
+It runs before the imports of CasADi, Pinocchio and the command line's library, which take longer than the lookup.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from dmframe.remembered import store
 from dmframe.remembered.inputs import digest, unchanged
 
 WIDEST: Final = 116
-"""Columns of a verdict's text where there is no terminal, and at most."""
+"""Largest number of columns of a verdict's text, and the number without a terminal."""
 _VALUES: Final = {"verify": ("--set", "--seed"), "run": ("--set", "--until", "--reality")}
-"""Options with a value that a verdict, or what a run concludes from its graphs, depends on."""
+"""Options with a value on which a verdict, or the conclusions of a run, depends."""
 _FLAGS: Final = {"verify": ("--json", "--fresh"), "run": ("--json", "--fresh", "--no-plots", "--page", "--force")}
 _APART: Final = {"verify": (), "run": ("--out", "-o", "--engine", "--figures")}
-"""Flags and options with a value that it does not depend on."""
+"""Flags and options with a value on which it does not depend."""
 
 
 @final
 @dataclass(frozen=True)
 class Call:
-    """A call of ``verify`` whose verdict may be kept, or of ``run`` whose conclusions may be.
+    """A call of ``verify`` whose verdict may be cached, or of ``run`` whose conclusions may be.
 
     Parameters
     ----------
     command
         ``verify`` or ``run``.
     words
-        Graphs and options as given, but for those of how it is shown.
+        Graphs and options as given, without those that change the output only.
     as_json, fresh
         Whether `--json` and `--fresh` were given.
     """
@@ -46,14 +46,14 @@ class Call:
 
     @property
     def key(self) -> str:
-        """Under which its verdict is kept: the words, and where and by what they are read."""
+        """The key of its cache entry: its words, the working folder, and the interpreter."""
         flags = (sys.flags.optimize, sys.flags.isolated, sys.flags.no_site, sys.flags.dont_write_bytecode)
         where = (os.getcwd(), sys.executable, sys.version, sys.path, flags, __file__, _columns())  # noqa: PTH109
         return digest(repr((store.FORMAT, self.command, self.words, where)).encode("utf-8", "surrogateescape"))
 
 
 def call_of(arguments: Sequence[str]) -> Call | None:
-    """The call that a command line's words make; None for one whose verdict is not kept, as with `--report`."""
+    """The call of a command line's words; None if its verdict is not cached, as with `--report`."""
     command = arguments[0] if arguments else ""
     if command not in _VALUES:
         return None
@@ -79,7 +79,7 @@ def call_of(arguments: Sequence[str]) -> Call | None:
 
 
 def found(call: Call) -> dict[str, Any] | None:
-    """What was kept of a call, while all its inputs are the same; None where it has to be proved."""
+    """The cached result of a call if all its inputs are unchanged; otherwise None."""
     place = None if call.fresh else store.folder()
     entry = store.find(place, call.key) if place is not None else None
     if entry is None or not unchanged(entry["inputs"]):
@@ -88,7 +88,7 @@ def found(call: Call) -> dict[str, Any] | None:
 
 
 def page_of(entry: dict[str, Any], *, as_json: bool) -> str:
-    """What is printed of a verdict that was kept."""
+    """The printed text of a cached verdict."""
     if not as_json:
         return (
             f"{entry['text']}\n\nremembered: proved at {entry['proved_at']}, from the same inputs; --fresh repeats it"
@@ -98,7 +98,7 @@ def page_of(entry: dict[str, Any], *, as_json: bool) -> str:
 
 
 def _columns() -> int:
-    """The width for which a text is wrapped."""
+    """The width to which a text is wrapped."""
     try:
         given = int(os.environ.get("COLUMNS", "0"))
     except ValueError:

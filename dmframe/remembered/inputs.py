@@ -1,6 +1,6 @@
-"""What a verdict was made from: each input by its kind and name, with a text that changes when the input does.
+"""Inputs of a verdict: each by its kind and name, with a text that changes when the input changes.
 
-This module is imported before anything else of a command, and uses the standard library's fast parts alone.
+A command imports this module first; it uses only the parts of the standard library that load quickly.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Inputs = Mapping[str, Mapping[str, str]]
 
 ABSENT: Final = "absent"
 VOLATILE: Final = ("_",)
-"""Environment variables that the shell sets again for each command."""
+"""Environment variables that the shell sets for each command."""
 _SUFFIXES: Final = tuple(importlib.machinery.all_suffixes())
 _METADATA: Final = (".dist-info", ".egg-info", ".egg", ".pth", ".egg-link")
 
@@ -37,7 +37,7 @@ def content_of(path: str) -> str:
 
 
 def size_and_time(path: str) -> str:
-    """Of a file of an installed library, which no one edits without a trace."""
+    """State of a file of an installed library: size and time of modification."""
     try:
         found = os.stat(path)  # noqa: PTH116 - as above
     except OSError:
@@ -78,7 +78,7 @@ def is_file(path: str) -> str:
 
 
 def variable(name: str) -> str:
-    """A digest of an environment variable; of all of them where no name is given."""
+    """A digest of an environment variable; of all of them without a name."""
     if name:
         value = os.environ.get(name)
         return ABSENT if value is None else digest(value.encode("utf-8", "surrogateescape"))
@@ -95,7 +95,7 @@ STATES: Final[Mapping[str, Callable[[str], str]]] = {
     "probe": is_file,
     "variable": variable,
 }
-"""How the state of an input of each kind is found."""
+"""The function that computes the state of an input of each kind."""
 
 
 def states_of(names: Iterable[tuple[str, str]]) -> dict[str, dict[str, str]]:
@@ -107,5 +107,5 @@ def states_of(names: Iterable[tuple[str, str]]) -> dict[str, dict[str, str]]:
 
 
 def unchanged(inputs: Inputs) -> bool:
-    """True where every input is in the state that was kept."""
+    """True if every input has the stored state."""
     return all(STATES[kind](name) == state for kind, states in inputs.items() for name, state in states.items())

@@ -1,7 +1,7 @@
-"""Records what a proof is made from, while it is made: by Python's audit events and by the modules that were loaded.
+"""Recorder of the inputs of a proof, by Python's audit events and by the loaded modules.
 
-A verdict is kept only if all of it could be recorded. It is not if the process started another program or opened a
-connection, read something that is no regular file, or read a file that has changed since.
+A verdict is stored only if all its inputs could be recorded. It is not if the process started another program or opened
+a connection, read something that is not a regular file, or read a file that changed after the proof began.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from dmframe.remembered.front import Call
 from dmframe.remembered.inputs import ABSENT, states_of
 
 PROBE: Final = "dmframe.probe"
-"""The audit event of a look whether a file is there: the system's own look raises none."""
+"""The audit event of an existence check of a file, for which Python itself has none."""
 
 OWN: Final = ("dmframe", "dmframe_blocks", "dmframe_plants")
-"""Packages whose files are compared by content wherever they are installed."""
+"""Packages whose files are compared by content, wherever they are installed."""
 
 VARIABLES: Final = (
     *("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONOPTIMIZE", "PYTHONHASHSEED", "PYTHONUTF8"),
@@ -33,7 +33,7 @@ VARIABLES: Final = (
     *("LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH", "CASADIPATH", "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"),
     *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE", "MKL_NUM_THREADS", "MKL_CBWR"),
 )
-"""Variables that libraries read without Python, or that Python read before it was watched."""
+"""Variables that libraries read without Python, or that Python read before the recorder was active."""
 
 _REFUSED: Final = frozenset(
     (
@@ -55,16 +55,16 @@ _COPIES: Final = copies.__file__
 _METADATA: Final = os.path.join("importlib", "metadata", "")  # noqa: PTH118 - see front
 
 Noted = tuple[tuple[tuple[str, str], ...], str]
-"""Kind and name of each input of a job, and why not all of them are known, which may be empty."""
+"""Kind and name of each input of a job, and the reason why some are unknown, which may be empty."""
 
 _watching: list[Any] = copies.watchers
-"""Recorders; the last one records."""
+"""Stack of recorders; the last one is active."""
 _hooked: list[bool] = []
 
 
 @final
 class Recorder:
-    """The inputs of one call, from `begin` on."""
+    """Inputs of one call, from `begin` on."""
 
     def __init__(self, call: Call, place: str) -> None:
         self.call, self.place = call, place
@@ -76,25 +76,25 @@ class Recorder:
         self._library, self._cache = _libraries(), os.path.join(os.path.dirname(place), "")  # noqa: PTH118, PTH120
 
     def add(self, kind: str, name: str) -> None:
-        """Note an input."""
+        """Record an input."""
         self._seen[kind, name] = None
 
     def refuse(self, reason: str) -> None:
-        """Note that not all is known; the first reason is kept."""
+        """Record that some inputs are unknown; the first reason is kept."""
         self.refused = self.refused or reason
 
     def start_in_copy(self) -> None:
-        """Note in a forked process what it reads in addition."""
+        """Record in a forked process what it reads in addition."""
         self._known = set(self.names())
 
     def noted(self) -> Noted:
-        """What was read since the last call in a forked process."""
+        """Inputs since the last call in a forked process."""
         new = tuple(name for name in self.names() if name not in self._known)
         self._known.update(new)
         return new, self.refused
 
     def adopt(self, noted: Noted) -> None:
-        """Note what a forked process read."""
+        """Record the inputs of a forked process."""
         names, refused = noted
         for kind, name in names:
             self.add(kind, name)
@@ -102,13 +102,13 @@ class Recorder:
             self.refuse(refused)
 
     def names(self) -> Iterator[tuple[str, str]]:
-        """Kind and name of all that was read, as it is recorded."""
+        """Kind and name of all recorded inputs."""
         with paused():
             loaded = list(_loaded(self._cache))
         yield from (*self._seen, *loaded)
 
     def opened(self, path: Any, flags: int) -> None:
-        """A file was opened; descriptors were opened before under a name."""
+        """Record an opened file; descriptors were opened by name before."""
         if isinstance(path, int):
             return
         name = _absolute(path)
@@ -118,7 +118,7 @@ class Recorder:
             self.add("opened", name)
 
     def entry(self) -> dict[str, Any] | None:
-        """The inputs in their present states; None where they are not all known."""
+        """The inputs in their present states; None if some are unknown."""
         names = dict.fromkeys(name for key in self.names() for name in self._named(*key))
         names |= dict.fromkeys(("variable", name) for name in VARIABLES)
         for kind, name in names:
@@ -127,7 +127,7 @@ class Recorder:
         return None if self.refused else {"inputs": states_of(names), "aside": self.aside}
 
     def _named(self, kind: str, name: str) -> Iterator[tuple[str, str]]:
-        """An input as it is kept: the source of a compiled module, a library's file by size and time."""
+        """An input as it is stored: the source of a compiled module, a library's file by size and time."""
         if kind != "opened":
             yield kind, name
             return
@@ -139,11 +139,11 @@ class Recorder:
             yield ("library" if place else "content"), name
 
     def _check(self, path: str) -> None:
-        """Refuse what is no regular file, or what was changed after the proof began."""
+        """Refuse anything but a regular file, and files that changed after the proof began."""
         try:
             status = os.stat(path)  # noqa: PTH116 - see front
         except OSError:
-            return  # it was looked for and is absent, which is a state
+            return  # it was searched and is absent, which is a state too
         if not stat.S_ISREG(status.st_mode) and path != os.devnull:
             self.refused = f"{path} is no regular file"
         elif max(status.st_mtime_ns, status.st_ctime_ns) >= self._began:
@@ -155,7 +155,7 @@ def _absolute(path: Any) -> str:
 
 
 def _libraries() -> Callable[[str], str]:
-    """What a file belongs to: ``library``, ``standard`` for Python's own modules, or neither."""
+    """Owner of a file: ``library``, ``standard`` for Python's own modules, or neither."""
     paths = sysconfig.get_paths()
     standard = tuple(os.path.join(paths[key], "") for key in ("stdlib", "platstdlib"))  # noqa: PTH118 - see front
     sites = tuple(os.path.join(paths[key], "") for key in ("purelib", "platlib"))  # noqa: PTH118 - see front
@@ -171,8 +171,8 @@ def _libraries() -> Callable[[str], str]:
 
 
 def _loaded(cache: str) -> Iterator[tuple[str, str]]:
-    """The files of all modules, the folders in which imports looked, some of them before this process was watched, and
-    the shared libraries of the process but for those that dmframe compiled.
+    """The files of all modules, the folders that imports searched, some of them before recording, and the shared
+    libraries of the process, except those that dmframe compiled.
     """
     for folder in sys.path_importer_cache:
         yield "modules", _absolute(folder)
@@ -189,7 +189,7 @@ def _loaded(cache: str) -> Iterator[tuple[str, str]]:
 
 @final
 class _Watched(type(os.environ)):  # type: ignore[misc]  # the class of the environment has no public name
-    """The environment of the process, with each variable that is read noted."""
+    """The environment of the process, which records each variable that is read."""
 
     def __getitem__(self, key: str) -> str:
         for recorder in _watching:
@@ -248,7 +248,7 @@ _EVENTS: Final[Mapping[str, Callable[[Recorder, str, tuple[Any, ...], str], None
 
 
 def begin(call: Call) -> Recorder | None:
-    """Watch this process from now on; None where verdicts cannot be kept."""
+    """Record this process from now on; None if verdicts cannot be stored."""
     place = store.folder()
     if place is None:
         return None
@@ -262,13 +262,13 @@ def begin(call: Call) -> Recorder | None:
 
 
 def current() -> Recorder | None:
-    """The recorder that watches this process."""
+    """The active recorder of this process."""
     return _watching[-1] if _watching else None
 
 
 @contextmanager
 def paused() -> Iterator[None]:
-    """Context for what this process reads only to write its results."""
+    """Context for inputs that this process needs only to write its results."""
     watching = _watching[:]
     _watching.clear()
     try:
@@ -284,7 +284,7 @@ def end() -> Recorder | None:
 
 
 def finish(text: str, summaries: list[dict[str, Any]], status: int, proved_at: str) -> bool:
-    """Keep the verdict of the call that is recorded; returns whether it was kept."""
+    """Store the verdict of the recorded call; returns True if it was stored."""
     recorder = end()
     entry = recorder.entry() if recorder is not None else None
     if recorder is None or entry is None:

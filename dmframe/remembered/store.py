@@ -1,7 +1,7 @@
 """Verdicts on the disk: one file each, written atomically, accessible to this user only.
 
-A file holds a digest and, compressed, a JSON object. It is written next to its place and renamed, so that several
-processes may write the same at once. What is damaged, or what others may have written, is ignored.
+A file contains a digest and, compressed, a JSON object. It is written to another name and renamed, so that several
+processes can write the same entry. An entry that is damaged, or that other users may have written, is ignored.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from dmframe.remembered.inputs import digest
 
 FORMAT: Final = 1
 MOST: Final = 400
-"""Verdicts that are kept; the oldest go first."""
+"""Largest number of entries; the oldest are removed first."""
 FOLDER: Final = "verdicts"
 SUFFIX: Final = ".verdict"
 _HEAD: Final = 40
 
 
 def folder() -> str | None:
-    """Where verdicts are kept, in the folder of `dmframe.build.cache.cache_folder`; None where there is none.
+    """Folder of the entries, in the folder of `dmframe.build.cache.cache_folder`; None without one.
 
-    On Linux it is found without platformdirs, whose import takes as long as all else that is done here.
+    On Linux it is found without platformdirs, whose import takes as long as all other steps.
     """
     named = os.environ.get("DMFRAME_CACHE")
     if not named and sys.platform.startswith("linux"):
@@ -45,7 +45,7 @@ def folder() -> str | None:
 
 
 def find(place: str, key: str) -> dict[str, Any] | None:
-    """What was kept under a key; None where there is nothing, or nothing that can be trusted."""
+    """The entry of a key; None without a valid one."""
     path = os.path.join(place, key + SUFFIX)  # noqa: PTH118 - as above
     try:
         if _foreign(os.lstat(place), stat.S_ISDIR) or _foreign(os.lstat(path), stat.S_ISREG):
@@ -61,7 +61,7 @@ def find(place: str, key: str) -> dict[str, Any] | None:
 
 
 def keep(place: str, key: str, entry: dict[str, Any]) -> bool:
-    """Write an entry; returns False where the folder cannot be used."""
+    """Write an entry; returns False if the folder cannot be used."""
     packed = zlib.compress(json.dumps({**entry, "format": FORMAT, "key": key}).encode(), 6)
     path = os.path.join(place, key + SUFFIX)  # noqa: PTH118 - as above
     part = f"{path}.{os.getpid()}.{os.urandom(4).hex()}.part"
@@ -85,13 +85,13 @@ def keep(place: str, key: str, entry: dict[str, Any]) -> bool:
 
 
 def _foreign(status: os.stat_result, kind: Any) -> bool:
-    """True for what is of another kind, or may have been written by others."""
+    """True for a file of another kind, or one that other users may have written."""
     own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
     return not (kind(status.st_mode) and own) or bool(status.st_mode & 0o022)
 
 
 def _evict(place: str) -> None:
-    """Remove the oldest entries, and parts of processes that were killed."""
+    """Remove the oldest entries, and temporary files of killed processes."""
     with suppress(OSError):
         found = list[tuple[float, str]]()
         for item in os.scandir(place):

@@ -36,20 +36,20 @@ class StorageUnit:
 @final
 @dataclass(frozen=True)
 class Decided:
-    """What the claim of a graph decides about V along its runs.
+    """Decisions from the claim of a graph about V along its runs.
 
     Parameters
     ----------
     reason
-        Why there is no V; empty where there is one.
+        Reason why there is no V; empty if there is one.
     kappa
         The weight of the servo level.
     assumed
-        Whether the claim assumes that weights are positive, which each run has to show.
+        True if the claim assumes positive weights, which each run has to confirm.
     names
-        Those of V's terms, for a figure.
+        Names of V's terms, for a figure.
     unit
-        V's; None where there is no V.
+        Unit of V; None without V.
     """
 
     reason: str = ""
@@ -65,7 +65,7 @@ class Decided:
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> Decided:
-        """From `data`."""
+        """The inverse of `data`."""
         unit = data["unit"]
         made = None if unit is None else StorageUnit(**{**unit, "several": tuple(unit["several"])})
         return cls(**{**data, "names": tuple(data["names"]), "unit": made})

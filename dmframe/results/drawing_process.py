@@ -30,8 +30,8 @@ Sent = Sequence[tuple[str, str, Mapping[str, Any]]]
 class Drawing:
     """Processes that draw the figures of runs.
 
-    They are started before the runs, since they have to import matplotlib, and get the runs by `begin`; V follows with
-    `files`, when this process has evaluated it. If there are no processes, `files` does everything.
+    They are started before the runs, since they have to import matplotlib, and get the runs by `begin`. V is sent by
+    `files`, when this process has evaluated it. Without such processes, `files` does all steps.
     """
 
     def __init__(self, graphs: Sequence[BaseGraph], formats: Sequence[str], stack: ExitStack) -> None:
@@ -44,7 +44,7 @@ class Drawing:
         """Start the processes."""
         if not self._formats:
             return
-        # the first figures are the fastest, so several processes end together; V is there last
+        # the first figures are the fastest, so several processes end together; V is drawn last
         numbers = reversed(range(len(FIGURES) + len(self._graphs)))
         jobs = [*(partial(self._early, number) for number in numbers)]
         jobs += [partial(self._stored, number) for number in range(len(self._graphs))]
@@ -92,7 +92,7 @@ class Drawing:
         return self._files(wanted[number], partial(storage_picture, pictures[name], runs[name].recording))
 
     def _load(self) -> None:
-        """Import matplotlib; what a process reads to draw is no input of what a run concludes."""
+        """Import matplotlib; what a process reads to draw is not an input of a run's conclusions."""
         here = os.getpid() == self._process
         if not here:
             end()

@@ -1,4 +1,4 @@
-"""Repair of a robot's file for a new graph: what is invalid off the way to the tool, and what is missing on it."""
+"""Repair of a robot's file for a new graph: invalid elements outside the chain to the tool, missing ones in it."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ STROKE: Final = 0.5
 def repaired(root: Element, tool: str, where: str) -> list[str]:
     """Repair a URDF tree for an arm that ends at `tool`; returns a note for each change.
 
-    Off the way to the tool invalid inertias are left out, and invalid joints are fixed. On the way missing limits are
-    replaced by none, and links without inertia get a placeholder: a sphere of `DENSITY` times the distance to the next
+    Outside the chain to the tool invalid inertias are removed, and invalid joints fixed. In the chain missing limits
+    are set to none, and links without inertia get a placeholder: a sphere of `DENSITY` times the distance to the next
     joint, half way to it.
     """
     way = joints_to(root, tool)
@@ -91,7 +91,7 @@ def _complete(joint: Element) -> list[str]:
 
 
 def _is_empty(joint: Element) -> bool:
-    """True if the lower and the upper limit are equal, as where they are left out."""
+    """True if the lower and the upper limit are equal, as if they are omitted."""
     limit = joint.find("limit")
     ends = [0.0, 0.0] if limit is None else [_value(limit.get(key, "0")) for key in ("lower", "upper")]
     return ends[0] == ends[1]

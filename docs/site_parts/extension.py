@@ -30,8 +30,8 @@ class Live(SphinxDirective):
     """``{live} GRAPH``: the live page of a graph, written and embedded.
 
     The graph is a packaged one or a file next to the page. Options: `set`, values as after ``--set``, several between
-    blanks; `height` [pixels]; `title`; `still`, a picture that is seen until the page is loaded; `wide`, wider than the
-    text. A body, where there is one, is the graph itself, and the argument its name.
+    blanks; `height` [pixels]; `title`; `still`, a picture that is shown until the page is there; `wide`, wider than the
+    text. The body, if there is one, is the graph itself, and the argument its name.
     """
 
     required_arguments = 1
@@ -45,7 +45,7 @@ class Live(SphinxDirective):
     }
 
     def run(self) -> list[nodes.Node]:
-        """The frame, as HTML; other formats show the title alone."""
+        """The frame, as HTML; other formats show the title only."""
         name, settings = self.arguments[0], self.options.get("set", "")
         up = "../" * self.env.docname.count("/")
         try:
@@ -79,7 +79,7 @@ class Live(SphinxDirective):
         return name
 
     def _still(self, up: str) -> str:
-        """The picture's address; it is copied here, since Sphinx copies those alone that it shows itself."""
+        """The picture's address; it is copied here, since Sphinx copies only pictures that it shows itself."""
         if "still" not in self.options:
             return ""
         _, absolute = self.env.relfn2path(self.options["still"])
@@ -94,7 +94,7 @@ def inline_math(self: Any, node: nodes.math) -> None:
 
 
 def block_math(self: Any, node: nodes.math_block) -> None:
-    """Formulas of their own lines."""
+    """Displayed formulas."""
     mark = f' id="{node["ids"][0]}"' if node.get("ids") else ""
     self.body.append(f"<div{mark}>{_rendered(mathematics.display, node)}</div>")
     raise nodes.SkipNode
@@ -109,7 +109,7 @@ def _rendered(make: Any, node: nodes.Element) -> str:
 
 
 def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: nodes.document | None) -> None:
-    """Beneath a lesson's title, its number, by which other lessons name it, and the lesson as a notebook."""
+    """Below a lesson's title, its number, by which other lessons name it, and the lesson as a notebook."""
     if not page.startswith(COURSE) or "body" not in context:
         return
     path = Path(app.env.doc2path(page))
@@ -128,7 +128,7 @@ def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], do
 def read_docstring(app: Sphinx, what: str, name: str, of: Any, options: Any, lines: list[str]) -> None:
     """A docstring in numpydoc's form, as reStructuredText.
 
-    The extension that comes with Sphinx takes what stands before a colon in a property's docstring for its type.
+    Sphinx's own extension reads the text before a colon in a property's docstring as its type.
     """
     kind = "method" if what in ("property", "attribute", "data") else what
     lines[:] = NumpyDocstring(list(lines), NUMPYDOC, app, kind, name, of, options).lines()
@@ -137,7 +137,7 @@ def read_docstring(app: Sphinx, what: str, name: str, of: Any, options: Any, lin
 def read_signature(
     app: Sphinx, what: str, name: str, of: Any, options: Any, signature: str | None, returns: str | None
 ) -> tuple[str, str | None] | None:
-    """A signature that is Python: a dataclass shows a value that is made anew as ``<factory>``."""
+    """A valid Python signature: a dataclass shows a default that is created by a factory as ``<factory>``."""
     return None if signature is None else (signature.replace("<factory>", "..."), returns)
 
 

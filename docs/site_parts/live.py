@@ -15,9 +15,9 @@ import dmframe as dm
 from dmframe.graph.graph import Graph
 
 FOLDER: Final = "live"
-"""Of the live pages, in the root of the site."""
+"""Folder of the live pages, in the root of the site."""
 HEIGHT: Final = 860
-"""Of an embedded page [pixels]; a reader may open it alone."""
+"""Height of an embedded page [pixels]; a reader may open it separately."""
 
 
 def graph_of(source: str | Path, settings: str = "") -> Graph:
@@ -43,7 +43,7 @@ def write(graph: Graph, path: Path) -> Path:
 
 
 def still(picture: Path, site: Path) -> str:
-    """Copy a picture into the site; its place there, ``_images/ur10_fast.png``."""
+    """Copy a picture into the site; returns its place there, ``_images/ur10_fast.png``."""
     place = f"_images/{picture.name}"
     site.joinpath(place).parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(picture, site / place)

@@ -25,7 +25,7 @@ def inline(latex: str) -> str:
 
 
 def display(latex: str) -> str:
-    r"""Formulas of their own lines: one row for each ``\\``, aligned at ``&``, each with its ``\tag`` at the right."""
+    r"""Displayed formulas: one row for each ``\\``, aligned at ``&``, each with its ``\tag`` at the right."""
     outer = _OUTER.match(latex)
     rows = [row for row in _split(outer[2] if outer else latex, r"\\") if row.strip()]
     cells = [[part.strip() for part in _split(_TAG.sub("", row), "&")] for row in rows]

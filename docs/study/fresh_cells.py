@@ -1,7 +1,7 @@
 """The entrant of the packaged race on cells drawn at random: ``python docs/study/fresh_cells.py RACE_FOLDER [SEED]``.
 
-RACE_FOLDER holds the results of ``dmframe race``: all laws run with the values that were chosen there. Each of the
-cells has a plant, a path, a sampling period and a channel of its own, drawn with SEED. The entrant runs with probe
+RACE_FOLDER contains the results of ``dmframe race``: all laws run with the values that were chosen there. Each
+cell has its own plant, path, sampling period and channel, drawn with SEED. The entrant runs with probe
 seeds that the race does not use, its rivals once. `silent` is the inverse of J that the aggregation uses before the
 delay is identified and after a trip: its probe excites nothing and never identifies a delay.
 """
@@ -28,7 +28,7 @@ PROBES: Final = (11, 12, 13, 14, 15)
 """Seeds of a run; the race has 1 and 2."""
 CLOCKS: Final = (0.008, 0.02, 0.09)
 SILENT: Final = {"probe.lasting": "1e9 s", "probe.probe": 1e-12}
-"""Without an excitation, for which the delay is never identified."""
+"""Without an excitation, so that no delay is identified."""
 
 
 def plant(rng: np.random.Generator) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def path(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def rounded(values: Any) -> Any:
-    """With four digits, as numbers that YAML writes."""
+    """Rounded to four digits, as YAML writes them."""
     return json.loads(json.dumps(np.vectorize(lambda value: float(f"{value:.4g}"))(values).tolist()))
 
 
@@ -83,7 +83,7 @@ def drawn(race: Race, seed: int) -> tuple[dict[str, Any], list[Cell]]:
 
 
 def main(folder: Path, seed: int) -> None:
-    """Draw the cells, run all laws, and print a line for each cell and the shares."""
+    """Draw the cells, run all laws, and print a line for each cell and the proportions."""
     packaged = find_race("packaged")
     text, cells = drawn(load_race("packaged"), seed)
     out = folder / f"fresh_{seed}"
@@ -118,7 +118,7 @@ def runs_of(race: Race, cell: Cell, chosen: Mapping[tuple[str, float], Any]) -> 
 
 
 def report(entrant: str, runs: Mapping[Cell, Sequence[Run]], errors: Mapping[Run, float]) -> None:
-    """A line for each cell, and the shares over all cells and seeds."""
+    """A line for each cell, and the proportions over all cells and seeds."""
     ratios, silent = list[float](), list[float]()
     for cell, each in runs.items():
         own = [errors[run] for run in each if run.law == entrant]

@@ -1,7 +1,7 @@
 """Effect of a reset on a load's estimate, for ``docs/how_to/payload.md``: ``python docs/study/payload.py``.
 
-Of one law after another: the error of the mass about 10 s and 30 s after 4 kg have become 1 kg, and that of the tool;
-then the largest error where 4 kg are taken up and put down in turn, the second time.
+For each law: the errors of the mass about 10 s and 30 s after 4 kg have become 1 kg, and the tool error;
+then the largest error in the second cycle of picking up and releasing 4 kg.
 """
 
 from __future__ import annotations

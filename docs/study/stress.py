@@ -150,7 +150,7 @@ CASES: Final[dict[str, Case]] = {
 
 def changed(name: str, case: Case, seed: int = 0) -> dm.Graph:
     """A controller in a case; a predictor is configured for the delay."""
-    graph = dm.load(dm.load(name).text, name=str(FOLDER / f"{name}.yaml"))  # blocks of its own lie there
+    graph = dm.load(dm.load(name).text, name=str(FOLDER / f"{name}.yaml"))  # its own blocks are there
     late = [label for label in graph.blocks if "delay" in type(graph.blocks[label]).model_fields]
     delays = {f"{label}.delay": case.configured for label in late if late != ["task"]}
     lacking = [key for key in case.values if "." in key and not _has(graph, key)]

@@ -13,7 +13,7 @@ from dmframe.graph.graph import Graph
 
 def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
     """The class with `functions` under the names that its methods call, including those that compose its law."""
-    members: dict[str, Any] = {"__module__": block.__module__, "__doc__": "With a fault, and no law in prose."}
+    members: dict[str, Any] = {"__module__": block.__module__, "__doc__": "With a fault, and without printed laws."}
     for name in ("equations", "certificate", "_with_rates", "_with_terms", "_weighed"):
         method = getattr(block, name, None)
         if method is None:

@@ -67,10 +67,10 @@ def certificates(diagram: Diagram) -> dict[str, Certificate]:
     found, known = dict[str, Certificate](), dict[str, Any]()
     for name in sorted(diagram.blocks, key=lambda name: name not in ("arm", "model")):
         seen = view(diagram, name, known)
-        said = diagram.blocks[name].composed_certificate(seen.u, seen.x, seen.p, seen.truth)
-        if said is not None:
-            found[name] = said
-            known[name] = said.truth
+        reported = diagram.blocks[name].composed_certificate(seen.u, seen.x, seen.p, seen.truth)
+        if reported is not None:
+            found[name] = reported
+            known[name] = reported.truth
     return found
 
 
@@ -78,12 +78,12 @@ def residual(diagram: Diagram, flipped: str = "", kappa: float = KAPPA) -> tuple
     """dV/dt + dissipation - cross terms, and the size of its terms, at random states, gains and trajectories."""
     loop = diagram.loop
     V, claimed, supplied = ca.SX(0), ca.SX(0), ca.SX(0)
-    for said in certificates(diagram).values():
-        weight = kappa if said.consumes is None else 1
-        V += weight * sum((term.value for term in said.storage), ca.SX(0)) / 2
-        claimed += weight * sum((term.value for term in said.dissipation), ca.SX(0))
-        if said.consumes is not None:
-            supplied = said.consumes.value
+    for reported in certificates(diagram).values():
+        weight = kappa if reported.consumes is None else 1
+        V += weight * sum((term.value for term in reported.storage), ca.SX(0)) / 2
+        claimed += weight * sum((term.value for term in reported.dissipation), ca.SX(0))
+        if reported.consumes is not None:
+            supplied = reported.consumes.value
             claimed -= supplied
     rates = [v.own_rate * (-1 if v.label == flipped else 1) for v in loop.variables]
     V, claimed, supplied, *rates = loop.joined([V, claimed, supplied, *rates])
@@ -131,9 +131,9 @@ def test_an_adaptation_law_of_the_wrong_sign_breaks_the_balance(
 @pytest.mark.parametrize("servo", SERVOS)
 def test_the_supplies_of_the_servo_level_cancel(servo: str, tmp_path: Path) -> None:
     diagram = build("arm2", "task", servo, tmp_path)
-    said = certificates(diagram)
-    total = sum((item.supply for item in said.values() if item.consumes is None), ca.SX(0))
-    size = sum((ca.fabs(item.supply) for item in said.values()), ca.SX(0))
+    reported = certificates(diagram)
+    total = sum((item.supply for item in reported.values() if item.consumes is None), ca.SX(0))
+    size = sum((ca.fabs(item.supply) for item in reported.values()), ca.SX(0))
     total, size = diagram.loop.joined([total, size])
     w = ca.vertcat(*(leaf.symbol for leaf in diagram.loop.trajectories))
     function = ca.Function("supply", [diagram.loop.state, w, diagram.loop.p], [total, size])

@@ -64,9 +64,9 @@ def test_a_delay_that_is_the_plants_is_a_condition_that_holds(case: int) -> None
     found = verdict(delay, **between)
     assert found.outcome == "proved", found.reason
     assert not any("delay" in item.text for item in found.assumptions if item.text.startswith("inverse"))
-    (said,) = [item for item in found.conditions if "delays commands by" in item.name]
-    assert said.holds
-    assert said.value == 0
+    (reported,) = [item for item in found.conditions if "delays commands by" in item.name]
+    assert reported.holds
+    assert reported.value == 0
 
 
 @pytest.mark.parametrize("case", range(len(WRONG)))

@@ -203,7 +203,7 @@ def test_it_is_proved_and_what_the_environment_has_to_do_is_assumed(name: str) -
 def without(**methods: Any) -> Verdict:
     """The proof with methods of the admittance replaced."""
     graph = small()
-    given = {"__module__": Admittance.__module__, "__doc__": "With a fault, and no law in prose.", **methods}
+    given = {"__module__": Admittance.__module__, "__doc__": "With a fault, and without printed laws.", **methods}
     kind = type(Admittance)("Admittance", (Admittance,), given)
     block = kind(**graph.blocks["compliance"].model_dump())
     return verify(Diagram.build({**graph.blocks, "compliance": block}, graph.file.wires, graph.robot))
@@ -256,16 +256,16 @@ def test_without_the_right_input_nothing_bounds_the_goal(inputs: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("inputs", "otherwise", "says"),
+    ("inputs", "otherwise", "reports"),
     [
         (lambda u, p: (u.f_ext,), BOUNDED, "expected no input or 2 for the 2 vectors"),
         (lambda u, p: (0, u.f_ext / p.M_a), (), "expected assumptions as otherwise, together with the inputs"),
     ],
 )
-def test_an_input_without_an_assumption_is_refused_by_name(inputs: Any, otherwise: Any, says: str) -> None:
+def test_an_input_without_an_assumption_is_refused_by_name(inputs: Any, otherwise: Any, reports: str) -> None:
     verdict = without(certificate=driven(inputs, otherwise))
     assert verdict.outcome == "not_applicable"
-    assert says in verdict.reason
+    assert reports in verdict.reason
 
 
 def test_a_normal_without_a_direction_is_refused() -> None:

@@ -63,11 +63,11 @@ def test_forgetting_and_composite_adaptation_are_proved_with_every_part_of_the_k
     assert all(control.refuted for control in verdict.controls)
     robust = any("leak" in override or "dead_zone" in override for override in overrides)
     assert bool(verdict.bounds) == robust
-    says = "is bounded in the mean square, by the residual" if robust else "goes to zero"
+    reports = "is bounded in the mean square, by the residual" if robust else "goes to zero"
     fitted = [
         item.says for item in verdict.statements if item.signal.startswith("f(q, ") and item.signal.endswith(" - x")
     ]
-    assert says in fitted
+    assert reports in fitted
 
 
 @pytest.mark.parametrize("name", ["theorem_1", "filtered_regulation_pid", "observed_regulation_pi"])
@@ -85,7 +85,7 @@ def test_the_start_of_g_is_listed_as_an_assumption_and_v_does_not_bound_g_alone(
     assert any(control.fault == "sign of d geometry.G_k/dt flipped" for control in verdict.controls)
 
 
-def forgetting_faster_than_it_says(right: Any) -> Any:
+def forgetting_faster_than_declared(right: Any) -> Any:
     def rates(self: Fit, state: str) -> dict[str, SX]:
         return {name: rate - 0.01 * self.state for name, rate in right(self, state).items()}
 
@@ -103,7 +103,7 @@ def with_the_wrong_sign(right: Any) -> Any:
 @pytest.mark.parametrize(
     ("method", "fault"),
     [
-        ("rates", forgetting_faster_than_it_says),
+        ("rates", forgetting_faster_than_declared),
         ("gained", with_the_gain_of_the_gradient),
         ("gained", with_the_wrong_sign),
     ],

@@ -275,17 +275,17 @@ def test_a_load_that_moves_between_its_steps_is_reported() -> None:
 
 
 def test_only_a_source_steps_and_only_a_controller_shows() -> None:
-    for side, output, says in (
+    for side, output, stated in (
         (Side.PLANT, Output("c", "", "m", shown="a place"), "c is shown, but is no controller output"),
         (Side.CONTROLLER, Output("m", "", "kg", steps=True), "m steps, but is no source output"),
     ):
         members = {"side": side, "outputs": (output,), "equations": Ramp.equations, "__module__": __name__}
         found = type(Ramp)("Wrong", (AbstractBlock,), members).contract("w")
-        assert [fault.text for fault in found] == [f"w: declares that {says}; remove the declaration"]
+        assert [fault.text for fault in found] == [f"w: declares that {stated}; remove the declaration"]
 
 
 @pytest.mark.parametrize(
-    ("load", "says"),
+    ("load", "stated"),
     [
         ({"mass": [1], "at": [0, 1]}, "expected at for each of 1 masses, found 2"),
         ({"mass": [1, 2], "at": [1, 1]}, "expected increasing times"),
@@ -294,8 +294,8 @@ def test_only_a_source_steps_and_only_a_controller_shows() -> None:
         ({"mass": [0], "at": [0], "inertia": [[1, 0, 1, 0, 0, 1]]}, "expected rigid bodies, found mass 0 with inertia"),
     ],
 )
-def test_a_load_that_is_not_a_rigid_body_is_refused(load: dict[str, Any], says: str) -> None:
-    with pytest.raises(DmframeError, match=says):
+def test_a_load_that_is_not_a_rigid_body_is_refused(load: dict[str, Any], stated: str) -> None:
+    with pytest.raises(DmframeError, match=stated):
         Payload(**load)
 
 
@@ -309,11 +309,11 @@ def learning_all(load: str = "mass: [1, 0], at: [0.2, 0.6]", arm: str = "loaded_
 def test_columns_for_all_links_estimate_a_load_too_and_that_is_proved_between_its_steps(gravity: str) -> None:
     verdict = learning_all().set({"model.gravity": gravity}).verify().verdict
     assert verdict.outcome == "proved", verdict.reason
-    (said,) = [
+    (printed,) = [
         item.text for item in verdict.assumptions if "constant between its steps; the proof holds between" in item.text
     ]
-    assert said.startswith("load.a_load is bounded")
-    assert said.endswith("there jumps what dynamics and arm store, and nothing else")
+    assert printed.startswith("load.a_load is bounded")
+    assert printed.endswith("at a step only the storage functions of dynamics and arm jump")
 
 
 def test_the_true_parameters_are_those_of_the_last_link_with_the_load_as_pinocchio_has_them() -> None:

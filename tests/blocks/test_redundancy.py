@@ -94,8 +94,8 @@ def test_a_generator_that_does_not_keep_it_out_of_the_task_is_refuted(
     honest = kind.equations
 
     def leaking(self: Any, u: Any, x: Any, p: Any) -> Equations:
-        said = honest(self, u, x, p)
-        return Equations(outputs={"dq_r": said.outputs["dq_r"] + u.dq_null / 1000})
+        reported = honest(self, u, x, p)
+        return Equations(outputs={"dq_r": reported.outputs["dq_r"] + u.dq_null / 1000})
 
     monkeypatch.setattr(kind, "equations", leaking)
     verdict = verify(graph(tmp_path).diagram, trials=1)

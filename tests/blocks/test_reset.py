@@ -141,13 +141,13 @@ def test_it_is_proved_at_any_instant_of_grasping_and_the_part_of_v_that_jumps_is
     assert all(control.refuted for control in found.controls)
     assert ("idle", "goes to zero") in [(item.signal, item.says) for item in found.statements]
     assumed = " / ".join(item.text for item in found.assumptions)
-    start = f"is bounded, and {BETWEEN.removeprefix('is ').format(V='V')}; there"
-    assert f"load.a_load {start} jumps what dynamics and arm store, and nothing else" in assumed
-    assert f"gripper.odd {start} jumps what dynamics stores, and nothing else" in assumed
+    start = f"is bounded, and {BETWEEN.removeprefix('is ').format(V='V')}; at a step only the storage"
+    assert f"load.a_load {start} functions of dynamics and arm jump" in assumed
+    assert f"gripper.odd {start} function of dynamics jumps" in assumed
 
 
 def with_fault(**methods: Callable[..., Any]) -> ResetCompensator:
-    members = {"__module__": __name__, "__doc__": "With a fault, and no law in prose.", **methods}
+    members = {"__module__": __name__, "__doc__": "With a fault, and without printed laws.", **methods}
     kind = type(ResetCompensator)("Faulty", (ResetCompensator,), members)
     made: ResetCompensator = kind(Gamma=1, clearing=20)
     return made
@@ -228,7 +228,7 @@ def test_what_a_drawing_states_of_the_load_takes_its_error_out_of_v() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "reports"),
     [
         ({"at": [1, 1]}, "expected increasing times"),
         ({"at": [1, 2], "mass": [1]}, "expected at for each of 1 masses, found 2"),
@@ -236,6 +236,6 @@ def test_what_a_drawing_states_of_the_load_takes_its_error_out_of_v() -> None:
         ({"at": [1], "center": [[0, 0, 0]]}, "expected a mass for each center and inertia, found none"),
     ],
 )
-def test_a_schedule_that_no_gripper_can_have_is_refused(values: dict[str, Sequence[Any]], says: str) -> None:
-    with pytest.raises(DmframeError, match=says):
+def test_a_schedule_that_no_gripper_can_have_is_refused(values: dict[str, Sequence[Any]], reports: str) -> None:
+    with pytest.raises(DmframeError, match=reports):
         Gripper(**values)

@@ -119,10 +119,10 @@ def test_what_leaks_everywhere_is_ultimately_bounded() -> None:
 
 def test_where_only_a_part_of_v_leaks_no_ultimate_bound_is_stated() -> None:
     verdict = proof("arm2_joint", "dynamics.leak=0.1", "inverse.leak=0.1")
-    says = {(item.signal, item.says) for item in verdict.statements}
-    assert ("w - 1/K_star", "is bounded") in says  # its box
-    assert ("sigma", "is bounded in the mean square, by the residual") in says
-    assert not any(text == "is ultimately bounded" for _, text in says)
+    reports = {(item.signal, item.says) for item in verdict.statements}
+    assert ("w - 1/K_star", "is bounded") in reports  # its box
+    assert ("sigma", "is bounded in the mean square, by the residual") in reports
+    assert not any(text == "is ultimately bounded" for _, text in reports)
 
 
 def test_a_residual_that_nothing_bounds_is_no_proof() -> None:

@@ -139,11 +139,11 @@ def test_a_margin_of_as_much_keeps_the_limit() -> None:
     assert tube is not None
     assert tube.inside
     assert float(np.max(graph.run().data["arm.q"].values[:, 0])) < 1.2
-    (said,) = (item for item in graph.verify().verdict.statements if "stays between" in item.says)
-    assert said.signal == "arm.q"
-    assert said.says == "stays between -2, -2 and 1.2, 2 rad at all times"
-    (said,) = (item for item in joint_graph().verify().verdict.statements if "stays between" in item.says)
-    assert said.says.startswith("stays between -2, -2 and 1.2, 2 rad, but for at most 0.")
+    (reported,) = (item for item in graph.verify().verdict.statements if "stays between" in item.says)
+    assert reported.signal == "arm.q"
+    assert reported.says == "stays between -2, -2 and 1.2, 2 rad at all times"
+    (reported,) = (item for item in joint_graph().verify().verdict.statements if "stays between" in item.says)
+    assert reported.says.startswith("stays between -2, -2 and 1.2, 2 rad, but for at most 0.")
 
 
 def test_intervals_widen_the_tube_to_hold_that_of_every_robot_in_them() -> None:

@@ -379,13 +379,13 @@ def test_on_a_fast_clock_an_encoder_requires_the_mean_of_several_rows() -> None:
 
 
 def test_what_an_estimator_does_not_have_is_refused() -> None:
-    for options, says in (
+    for options, reports in (
         ({"estimator": "least_squares", "replay": 5}, "expected no replay with estimator least_squares"),
         ({"estimator": "least_squares", "stride": 2}, "expected no stride with estimator least_squares"),
         ({"retention": 0.9}, "expected no retention with estimator projection"),
         ({"estimator": "least_squares", "retention": 1.1}, "expected a retention of 1 at most"),
     ):
-        with pytest.raises(DmframeError, match=says):
+        with pytest.raises(DmframeError, match=reports):
             inverse(**options)
 
 

@@ -52,7 +52,7 @@ def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any
     assert delay.holds
 
 
-def _says(found: Verdict) -> str:
+def _reports(found: Verdict) -> str:
     assert found.refutation is not None, found.reason
     return found.refutation.statement
 
@@ -64,7 +64,7 @@ def test_a_wrong_regressor_is_not_what_the_plant_obeys(
 ) -> None:
     right = getattr(SymbolicRobot, name)
     monkeypatch.setattr(SymbolicRobot, name, lambda *given: 2 * right(*given))
-    assert _says(verdict(servo)) == "inverse: what the plant's motion obeys"
+    assert _reports(verdict(servo)) == "inverse: plant identity"
 
 
 def test_the_christoffel_matrix_itself_is_not_its_transpose(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,7 +73,7 @@ def test_the_christoffel_matrix_itself_is_not_its_transpose(monkeypatch: pytest.
         return robot.regressor(q, dq, dq, still) - robot.regressor(q, still, still, still)
 
     monkeypatch.setattr(SymbolicRobot, "kinetic_regressor", turned)
-    assert _says(verdict()) == "inverse: what the plant's motion obeys"
+    assert _reports(verdict()) == "inverse: plant identity"
 
 
 def _greedy(self: AveragedServo, theta: Any, h: Any, g: Any, Gamma: Any, nu: Any) -> Any:
@@ -92,7 +92,7 @@ def _away(self: AveragedServo, theta: Any, h: Any, g: Any, Gamma: Any, nu: Any) 
 def test_another_adaptation_is_refuted(law: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     averaged_servo.cache_clear()
     monkeypatch.setattr(AveragedServo, "projected", law)
-    assert _says(verdict()) == "inverse: next value of theta"
+    assert _reports(verdict()) == "inverse: next value of theta"
     averaged_servo.cache_clear()
 
 
@@ -143,7 +143,7 @@ _put_back, _updated = LeastSquares.put_back, LeastSquares.updated
 def test_another_least_squares_is_refuted(name: str, law: Any, state: str, monkeypatch: pytest.MonkeyPatch) -> None:
     averaged_servo.cache_clear()
     monkeypatch.setattr(LeastSquares, name, law)
-    assert _says(verdict(PI, estimator="least_squares")) == f"inverse: next value of {state}"
+    assert _reports(verdict(PI, estimator="least_squares")) == f"inverse: next value of {state}"
     averaged_servo.cache_clear()
 
 
@@ -152,20 +152,20 @@ def test_rows_that_are_stored_elsewhere_are_refuted(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(
         AveragedServo, "pushed", property(lambda self: lambda rows, new: ca.vertcat(rows[1:, :], new.T))
     )
-    assert _says(verdict()) == "inverse: what rows keeps"
+    assert _reports(verdict()) == "inverse: next value of rows"
     averaged_servo.cache_clear()
 
 
 def test_a_friction_without_a_column_and_a_box_without_the_truth_are_reported() -> None:
     found = verdict(friction=["viscous"])
     assert found.outcome != "proved"
-    assert "what the plant's motion obeys" in _says(found)
+    assert "plant identity" in _reports(found)
     assert "true value of theta inside its box" in verdict(k_P_box=[3, 6]).reason
     assert verdict(friction=["viscous"], arm={"coulomb": 0}).outcome == "proved"
 
 
 def test_the_manufacturers_gravity_compensation_needs_columns_of_its_own() -> None:
-    assert _says(verdict(arm={"maker_gravity": 0.5})) == "inverse: what the plant's motion obeys"
+    assert _reports(verdict(arm={"maker_gravity": 0.5})) == "inverse: plant identity"
 
 
 def test_a_pi_servo_declared_as_pid_is_not_proved() -> None:

@@ -242,8 +242,10 @@ def test_a_false_claim_of_rows_and_certificate_is_not_proved(lie: str, monkeypat
     lying(monkeypatch, lie)
     found = verdict()
     assert found.outcome == "not_applicable"
-    says = "the identity holds, but a condition fails: inverse: what the rows of theta leave unexplained of the plant's"
-    assert found.reason.startswith(f"{says} motion does not fall with the period: ")
+    reports = (
+        "the identity holds, but a condition fails: inverse: what the rows of theta leave unexplained of the plant's"
+    )
+    assert found.reason.startswith(f"{reports} motion does not fall with the period: ")
     assert "row of joint2, " in found.reason
     assert found.reason.endswith(" of the data at T = 5, 2.5, 1.25, 0.625, 0.312 ms")
 

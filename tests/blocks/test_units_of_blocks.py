@@ -115,8 +115,8 @@ def holders() -> dict[str, tuple[str, str]]:
     )
     for graph in order:
         blocks = yaml.safe_load(graphs()[graph].read_text(encoding="utf-8"))["blocks"]
-        for name, said in blocks.items():
-            found.setdefault(said["type"], (graph, name))
+        for name, reported in blocks.items():
+            found.setdefault(reported["type"], (graph, name))
     return found
 
 
@@ -148,10 +148,10 @@ def variants(kind: str) -> Iterator[Check]:
     values = {key: of_one(spec, size) for key, spec in specs(block_type).items()}
     if name:
         own = diagram.blocks[name].model_dump()
-        said = {key: value for key, value in own.items() if value is not None}
+        reported = {key: value for key, value in own.items() if value is not None}
         yield check_of(kind, diagram.blocks[name], diagram)
-        given = [{**said, key: value} for key, value in values.items() if key not in said]
-        given += [{**said, **more} for more in TOGETHER.get(kind, ())]
+        given = [{**reported, key: value} for key, value in values.items() if key not in reported]
+        given += [{**reported, **more} for more in TOGETHER.get(kind, ())]
     else:
         given = [values, *TOGETHER.get(kind, ())]
     for choice in given:

@@ -58,25 +58,25 @@ def test_every_port_and_state_has_a_row_of_the_page_with_its_unit(notation: Modu
 
 
 def test_every_meaning_is_in_words(notation: ModuleType) -> None:
-    assert [name for name, said in notation.meanings().items() if not re.search(r"[a-z]{2}", said.means)] == []
+    assert [name for name, reported in notation.meanings().items() if not re.search(r"[a-z]{2}", reported.means)] == []
 
 
 def _set(name: str, **changes: str) -> Callable[[Any, Any], None]:
-    def change(found: Any, said: Any) -> None:
-        said[name] = replace(said[name], **changes)
+    def change(found: Any, reported: Any) -> None:
+        reported[name] = replace(reported[name], **changes)
 
     return change
 
 
 def _second(name: str, like: str) -> Callable[[Any, Any], None]:
-    def change(found: Any, said: Any) -> None:
-        found[name], said[name] = replace(found[like], name=name), replace(said[like], because="")
+    def change(found: Any, reported: Any) -> None:
+        found[name], reported[name] = replace(found[like], name=name), replace(reported[like], because="")
 
     return change
 
 
 FAULTS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
-    "no meaning": (lambda _, said: said.pop("u"), "u has no meaning in notation.yaml"),
+    "no meaning": (lambda _, reported: reported.pop("u"), "u has no meaning in notation.yaml"),
     "no name": (lambda found, _: found.pop("u"), "u has a meaning, and no block has it"),
     "two units": (lambda found, _: found["u"].units.append("A"), "u has several units: V, A, without a reason"),
     "no reason": (_set("K_P", because=""), "K_P has several meanings, without a reason"),
@@ -92,9 +92,9 @@ FAULTS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
 @pytest.mark.parametrize("case", FAULTS)
 def test_a_fault_is_reported(notation: ModuleType, case: str) -> None:
     change, text = FAULTS[case]
-    found, said = deepcopy(notation.entries()), notation.meanings()
-    change(found, said)
-    assert text in list(notation.faults(found, said))
+    found, reported = deepcopy(notation.entries()), notation.meanings()
+    change(found, reported)
+    assert text in list(notation.faults(found, reported))
 
 
 class Confused(AbstractBlock):

@@ -189,8 +189,8 @@ def test_the_reference_lists_every_key_of_the_json(tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     text = read("docs", "reference", "command_line.md")
     for words in (["run", "arm2_joint", "--until", "0.1", "--no-plots", "--json"], ["verify", "arm2_joint", "--json"]):
-        said = CliRunner().invoke(app, words)
-        assert all(f"`{key}`" in text for key in json.loads(said.stdout)), words
+        reported = CliRunner().invoke(app, words)
+        assert all(f"`{key}`" in text for key in json.loads(reported.stdout)), words
 
 
 def test_each_message_of_the_troubleshooting_page_is_one_of_the_code() -> None:

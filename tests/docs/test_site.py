@@ -268,10 +268,10 @@ def test_a_formula_that_cannot_be_set_is_refused(latex: str) -> None:
 
 
 def test_the_python_interface_lists_all_public_modules() -> None:
-    said = set(re.findall(r"(?<!`)`(dmframe\.\w+)`(?!`)", dmframe.__doc__ or ""))
-    assert "dmframe.block" in said
+    reported = set(re.findall(r"(?<!`)`(dmframe\.\w+)`(?!`)", dmframe.__doc__ or ""))
+    assert "dmframe.block" in reported
     texts = "\n".join(api.pages().values())
-    assert [module for module in sorted(said) if f"automodule:: {module}\n" not in texts] == []
+    assert [module for module in sorted(reported) if f"automodule:: {module}\n" not in texts] == []
 
 
 def test_the_python_interface_documents_each_class_and_function_once() -> None:

@@ -35,7 +35,7 @@ def which() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def said(which: ModuleType) -> dict[str, Any]:
+def reported(which: ModuleType) -> dict[str, Any]:
     return dict(which.words())
 
 
@@ -51,31 +51,33 @@ def number(cell: str) -> float:
     return float(found.group())
 
 
-def test_each_packaged_graph_has_a_line_or_a_reason_for_having_none(which: ModuleType, said: dict[str, Any]) -> None:
-    assert list(which.faults(said, dm.graphs())) == []
-    lacking = {**said, "graphs": {name: word for name, word in said["graphs"].items() if name != "ur10_pose"}}
+def test_each_packaged_graph_has_a_line_or_a_reason_for_having_none(
+    which: ModuleType, reported: dict[str, Any]
+) -> None:
+    assert list(which.faults(reported, dm.graphs())) == []
+    lacking = {**reported, "graphs": {name: word for name, word in reported["graphs"].items() if name != "ur10_pose"}}
     assert list(which.faults(lacking, dm.graphs())) == ["ur10_pose has no line in which.yaml"]
-    more = {**said, "left_out": {**said["left_out"], "ur10_fast": "no reason", "ur11": "no such graph"}}
+    more = {**reported, "left_out": {**reported["left_out"], "ur10_fast": "no reason", "ur11": "no such graph"}}
     assert list(which.faults(more, dm.graphs())) == [
         "ur10_fast has a line and is left out",
         "ur11 is no packaged graph",
     ]
 
 
-def test_the_page_shows_what_is_kept(which: ModuleType, said: dict[str, Any], rows: Rows) -> None:
+def test_the_page_shows_what_is_kept(which: ModuleType, reported: dict[str, Any], rows: Rows) -> None:
     text, laws, limits = (
         which.PAGE.read_text(encoding="utf-8"),
         which.rows_of(which.LAWS),
         which.rows_of(which.LIMITS),
     )
-    assert list(rows) == list(said["graphs"]), "stale; run: python docs/make_which.py"
+    assert list(rows) == list(reported["graphs"]), "stale; run: python docs/make_which.py"
     fill = which.fill
-    assert fill(text, [*rows.values()], laws, limits, said) == text, "stale; run: python docs/make_which.py --draw"
+    assert fill(text, [*rows.values()], laws, limits, reported) == text, "stale; run: python docs/make_which.py --draw"
     moved = [dict(row) for row in laws]
     moved[3]["rms_final"] = "0.5"
-    assert fill(text, [*rows.values()], moved, limits, said) != text
-    assert fill(text, [*rows.values()], laws, [{**row, "room": "-0.01"} for row in limits], said) != text
-    assert fill(text, [{**row, "learnt": "none"} for row in rows.values()], laws, limits, said) != text
+    assert fill(text, [*rows.values()], moved, limits, reported) != text
+    assert fill(text, [*rows.values()], laws, [{**row, "room": "-0.01"} for row in limits], reported) != text
+    assert fill(text, [{**row, "learnt": "none"} for row in rows.values()], laws, limits, reported) != text
 
 
 def answer_rows(which: ModuleType) -> list[list[str]]:
@@ -123,35 +125,35 @@ def test_the_script_of_the_page_chooses_the_same_row(which: ModuleType) -> None:
     assert json.loads(done.stdout) == [next(k for k, each in enumerate(found.rules) if each is rule) for rule in rules]
 
 
-def test_a_changed_answer_makes_the_page_stale(which: ModuleType, said: dict[str, Any], tmp_path: Path) -> None:
+def test_a_changed_answer_makes_the_page_stale(which: ModuleType, reported: dict[str, Any], tmp_path: Path) -> None:
     for file in which.GUIDES.iterdir():
         shutil.copy(file, tmp_path)
-    lines = list(which.answer_table(guide(), said))
+    lines = list(which.answer_table(guide(), reported))
     assert "\n".join(lines) in which.PAGE.read_text(encoding="utf-8")
     file = tmp_path / "which.yaml"
     file.write_text(file.read_text(encoding="utf-8").replace("take: ur10_slow_supervised", "take: ur10_slow_sampled"))
-    assert list(which.answer_table(Guide(file), said)) != lines
+    assert list(which.answer_table(Guide(file), reported)) != lines
 
 
-def test_each_error_of_the_answers_is_that_of_one_cell(which: ModuleType, said: dict[str, Any]) -> None:
+def test_each_error_of_the_answers_is_that_of_one_cell(which: ModuleType, reported: dict[str, Any]) -> None:
     rows = which.rows_of(which.LAWS)
     cells = [(row["graph"], row["circle"]) for row in rows if row["graph"]]
     assert len(set(cells)) == len(cells)
     for row in rows:
-        law = next(law for law in said["laws"] if law["title"] == row["law"])
-        k, circle = next(pair for pair in enumerate(said["circles"]) if pair[1]["title"] == row["circle"])
+        law = next(law for law in reported["laws"] if law["title"] == row["law"])
+        k, circle = next(pair for pair in enumerate(reported["circles"]) if pair[1]["title"] == row["circle"])
         cell = law["cells"][circle.get("cell", k)]
         assert row["graph"] == (cell if isinstance(cell, str) else cell.get("of", ""))
     for servo, periods in guide().plants.items():
         for kind, titles in periods.items():
-            circles = [next(each for each in said["circles"] if each["title"] == title) for title in titles]
+            circles = [next(each for each in reported["circles"] if each["title"] == title) for title in titles]
             assert [circle["on"] for circle in circles] == [{"short": "ur10_fast", "long": "ur10_slow"}[kind]] * 2
             assert [circle.get("reality") for circle in circles] == [None, "ur"]
             assert all(("servo" in circle) == (servo == "stiff") for circle in circles)
 
 
-def test_the_page_behind_a_graph_mentions_it_or_one_of_its_blocks(which: ModuleType, said: dict[str, Any]) -> None:
-    for name, word in said["graphs"].items():
+def test_the_page_behind_a_graph_mentions_it_or_one_of_its_blocks(which: ModuleType, reported: dict[str, Any]) -> None:
+    for name, word in reported["graphs"].items():
         text = (which.PAGE.parent / word["page"]).read_text(encoding="utf-8")
         graph = dm.load(name)
         own = (graph.data["blocks"][label]["type"] for label in _controllers(graph))
@@ -212,9 +214,9 @@ def test_an_estimate_without_a_word_is_reported(which: ModuleType, monkeypatch: 
 
 @pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (0, 4), (3, 0), (4, 1), (4, 2), (4, 5), (5, 0)])
 def test_a_law_on_a_circle_comes_out_as_in_the_table(
-    law: int, circle: int, which: ModuleType, said: dict[str, Any]
+    law: int, circle: int, which: ModuleType, reported: dict[str, Any]
 ) -> None:
-    stated, place = said["laws"][law], said["circles"][circle]
+    stated, place = reported["laws"][law], reported["circles"][circle]
     kept = {(row["law"], row["circle"]): row for row in which.rows_of(which.LAWS)}[stated["title"], place["title"]]
     found = which.law_row(stated, circle, place)
     for key in ("rms_final", "diverged_at", "at_limits"):
@@ -242,13 +244,13 @@ def test_the_front_pages_figures_are_those_of_the_competitors(page: str, which: 
         ideal = circle if "cascade" in circle else f"{circle}, {clock} ms"
         for law, cell in zip(FRONT_LAWS, cells.split(" | "), strict=True):
             (title,) = {one for one, _ in kept if law in one and "supervised" not in one}
-            for said, place in zip(cell.replace("*", "").split(" / "), (ideal, f"{circle}, `ur`"), strict=True):
+            for reported, place in zip(cell.replace("*", "").split(" / "), (ideal, f"{circle}, `ur`"), strict=True):
                 error = 1e3 * float(kept[title, place]["rms_final"])
-                assert float(said) == pytest.approx(error, rel=0.01), (law, place)
+                assert float(reported) == pytest.approx(error, rel=0.01), (law, place)
 
 
 def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cut_off(
-    which: ModuleType, said: dict[str, Any]
+    which: ModuleType, reported: dict[str, Any]
 ) -> None:
     """0.2 s of a robot that is commanded 9 rad/s: measured at the output of the limits."""
     graph = dm.load("ur10_fast_kinematic").set({"task.gamma": 900, "start.q": [1.2, -1.2, 1.2], "duration": 0.2})
@@ -273,19 +275,19 @@ def test_a_law_is_configured_for_the_delay_where_a_predictor_states_from_where_i
 
 @pytest.mark.parametrize(("title", "reality"), [("observer behind it, margin 5", "none"), ("no limits", "ur")])
 def test_a_law_with_limits_does_what_the_table_states(
-    title: str, reality: str, which: ModuleType, said: dict[str, Any]
+    title: str, reality: str, which: ModuleType, reported: dict[str, Any]
 ) -> None:
-    (law,) = (law for law in said["limits"]["laws"] if title in law["title"])
+    (law,) = (law for law in reported["limits"]["laws"] if title in law["title"])
     kept = {(row["law"], row["reality"]): row for row in which.rows_of(which.LIMITS)}[law["title"], reality]
-    found = which.limit_row(law, reality, said["limits"]["on"])
+    found = which.limit_row(law, reality, reported["limits"]["on"])
     assert found["says"] == kept["says"]
     for key in ("rms_final", "room"):
         assert float(found[key]) == pytest.approx(float(kept[key]), rel=0.02)
 
 
-def test_what_the_page_states_of_laws_with_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+def test_what_the_page_states_of_laws_with_limits_is_in_the_table(which: ModuleType, reported: dict[str, Any]) -> None:
     rows = {(row["law"], row["reality"]): row for row in which.rows_of(which.LIMITS)}
-    titles = [law["title"] for law in said["limits"]["laws"]]
+    titles = [law["title"] for law in reported["limits"]["laws"]]
     assert rows.keys() == {(title, reality) for title in titles for reality in which.REALITIES}
     room = {key: float(row["room"]) for key, row in rows.items()}
     for reality in which.REALITIES:
@@ -296,17 +298,17 @@ def test_what_the_page_states_of_laws_with_limits_is_in_the_table(which: ModuleT
             assert all(abs(room[title, reality] - margin) < 1e-3 for title in group)
             rms = [float(rows[title, reality]["rms_final"]) for title in group]
             assert max(rms) < 1.02 * min(rms)
-    says = [rows[title, "none"]["says"] for title in titles]
-    assert says[:4] == ["no proof"] * 4
-    assert "beyond" in says[4]
-    assert says[5].endswith("at all times")
+    reports = [rows[title, "none"]["says"] for title in titles]
+    assert reports[:4] == ["no proof"] * 4
+    assert "beyond" in reports[4]
+    assert reports[5].endswith("at all times")
 
 
-def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleType, said: dict[str, Any]) -> None:
-    for k, circle in enumerate(said["circles"]):
+def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleType, reported: dict[str, Any]) -> None:
+    for k, circle in enumerate(reported["circles"]):
         base = dm.load(circle["on"])
         assert circle.get("reality") in (None, "ur")
-        for law in said["laws"]:
+        for law in reported["laws"]:
             graph = which.law_of(law["cells"][circle.get("cell", k)], circle["on"])
             assert graph.duration == base.duration, law["title"]
             assert graph.clock == base.clock, law["title"]
@@ -315,10 +317,12 @@ def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleT
             assert {name: graph.blocks[name] for name in shared} == {name: base.blocks[name] for name in shared}
 
 
-def test_what_the_page_states_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+def test_what_the_page_states_of_the_competitors_agrees_with_the_table(
+    which: ModuleType, reported: dict[str, Any]
+) -> None:
     cells = {(row["law"], row["circle"]): row for row in which.rows_of(which.LAWS)}
-    *titles, series = (law["title"] for law in said["laws"])  # the last one requires the period of the path
-    soft, stiff = ([c for c in said["circles"] if ("servo" in c) is wanted] for wanted in (False, True))
+    *titles, series = (law["title"] for law in reported["laws"])  # the last one requires the period of the path
+    soft, stiff = ([c for c in reported["circles"] if ("servo" in c) is wanted] for wanted in (False, True))
     ideal, real = ([c["title"] for c in soft if ("reality" in c) is wanted] for wanted in (False, True))
     for circle in ideal:
         rms = [float(cells[title, circle]["rms_final"] or "inf") for title in titles]
@@ -333,7 +337,7 @@ def test_what_the_page_states_of_the_competitors_agrees_with_the_table(which: Mo
         circle["title"]: min(
             titles, key=lambda title, at=circle["title"]: float(cells[title, at]["rms_final"] or "inf")
         )
-        for circle in said["circles"]
+        for circle in reported["circles"]
     }
     assert set(least.values()) == {titles[12]}
     below = {at for at in least if float(cells[series, at]["rms_final"]) < float(cells[least[at], at]["rms_final"])}

@@ -69,7 +69,7 @@ class Chromium(Browser):
         self.visit(page.as_uri() + fragment)
 
     def visit(self, address: str) -> None:
-        """Open an address anew."""
+        """Open an address again."""
         self.ask("Page.navigate", url="about:blank")
         self.said.clear()
         self.ask("Page.navigate", url=address)

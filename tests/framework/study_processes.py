@@ -39,7 +39,7 @@ def client(out: Path, gates: Path, *, samples: int = 40, **options: Any) -> subp
     )
 
 
-def said(process: subprocess.Popen[str]) -> str:
+def reported(process: subprocess.Popen[str]) -> str:
     try:
         out, err = process.communicate(timeout=PATIENCE)
     finally:

@@ -56,9 +56,9 @@ def test_a_law_is_the_textbooks_and_its_storage_changes_by_what_it_states(chosen
         estimate = Estimate(*columns)
         effect = phi @ (theta - TRUTH)
         robust = made.terms([estimate], error) + made.idle(error, ca.SX(ca.DM(effect)))
-        said = sum((number(term.value) for term in robust.residual), 0.0)
-        said -= sum((number(term.value) for term in robust.dissipation), 0.0)
-        assert (theta - TRUTH) * WEIGHT @ rate == pytest.approx(-s @ effect + said, abs=1e-12)
+        reported = sum((number(term.value) for term in robust.residual), 0.0)
+        reported -= sum((number(term.value) for term in robust.dissipation), 0.0)
+        assert (theta - TRUTH) * WEIGHT @ rate == pytest.approx(-s @ effect + reported, abs=1e-12)
 
 
 def test_a_leak_leaves_half_its_rate_times_the_squared_error_of_the_start() -> None:

@@ -200,7 +200,7 @@ def leaking(found: Callable[[Any], float], where: str, **options: Any) -> Diagra
 
 @pytest.mark.parametrize("found", [through_a_global, through_a_block])
 @pytest.mark.parametrize(
-    ("where", "says"),
+    ("where", "reports"),
     [
         ("certificate", "certificate() states another storage"),
         ("conditions", "conditions() state another list of conditions"),
@@ -208,10 +208,10 @@ def leaking(found: Callable[[Any], float], where: str, **options: Any) -> Diagra
     ],
 )
 def test_a_number_found_elsewhere_is_found_in_what_is_proved_and_in_starts(
-    found: Callable[[Any], float], where: str, says: str
+    found: Callable[[Any], float], where: str, reports: str
 ) -> None:
     number = "rate" if found is through_a_global else "gains"
-    text = f"falling: {says} where {number} has another value, read as a Python number; expected p.{number}"
+    text = f"falling: {reports} where {number} has another value, read as a Python number; expected p.{number}"
     for rate in (2.0, 7.0):
         verdict = verify(leaking(found, where, rate=rate, gains=(1.0, rate)), trials=1)
         assert (verdict.outcome, verdict.reason) == ("not_applicable", text)

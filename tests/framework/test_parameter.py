@@ -91,12 +91,12 @@ NESTED = st.recursive(
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(NESTED, st.sampled_from(["diagonal", "vector", "table", "box"]), st.sampled_from(["", "n"]))
 def test_whatever_a_file_holds_is_read_or_refused_in_words(value: Any, form: str, shape: str) -> None:
-    said, found = "", None
+    reported, found = "", None
     try:
         found = read(value, Spec(shape, "m", "", form))
     except (ValueError, DmframeError) as error:
-        said = str(error)
-    assert not said or ("expected" in said and "\n" not in said)
+        reported = str(error)
+    assert not reported or ("expected" in reported and "\n" not in reported)
     assert all(np.isfinite(number) for number in numbers_in(found))
 
 

@@ -135,9 +135,9 @@ def test_no_command_runs_a_file_that_is_not_trusted(
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2
-    said = capsys.readouterr().err
-    assert "mine.py would run as your own program, and all users may write to" in said
-    assert f"{graph}:" in said  # the line that names the file
+    reported = capsys.readouterr().err
+    assert "mine.py would run as your own program, and all users may write to" in reported
+    assert f"{graph}:" in reported  # the line that names the file
     assert not graph.with_name("it_ran").exists()
 
 

@@ -282,8 +282,8 @@ def new_conclusions(verdict: Verdict, before: Verdict) -> list[str]:
         for item in verdict.statements
         if item.signal in named
         and not any(
-            (item.signal, item.says) == (signal, says) and assumes <= set(map(str, item.assumes))
-            for signal, says, assumes in known
+            (item.signal, item.says) == (signal, reports) and assumes <= set(map(str, item.assumes))
+            for signal, reports, assumes in known
         )
     ]
     if verdict.states and before.states:

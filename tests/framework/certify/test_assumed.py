@@ -298,9 +298,9 @@ def test_a_weight_that_does_not_stay_above_zero_is_not_assumed_to(name: str) -> 
     given, options, why = VAIN[name]
     verdict = weighed(*given, **options)
     assert verdict.outcome == "not_applicable"
-    said = [item.name for item in verdict.conditions if not item.holds and "is assumed to stay above" in item.name]
-    assert said
-    assert why in said[0]
+    reported = [item.name for item in verdict.conditions if not item.holds and "is assumed to stay above" in item.name]
+    assert reported
+    assert why in reported[0]
 
 
 STAYS = {
@@ -342,7 +342,7 @@ def test_a_run_warns_when_an_assumed_weight_is_not_above_zero() -> None:
     z = run.states["toy.z"][:, 0]
     first = int(np.flatnonzero(z <= 0)[0]) if np.any(z <= 0) else None
     assert first is not None
-    (said, *_) = found.notes
-    assert said.startswith(f"toy: the weight z of |y|^2 in V is {z[first]:.3g} at t = {run.time[first]:.6g} s")
+    (reported, *_) = found.notes
+    assert reported.startswith(f"toy: the weight z of |y|^2 in V is {z[first]:.3g} at t = {run.time[first]:.6g} s")
     calm = simulate(diagram, 1.0, clock=0.01, start={"y": [0.5], "z": [2.0]})
     assert along(claim_of(diagram), calm).notes == ()

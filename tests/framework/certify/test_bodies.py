@@ -55,8 +55,8 @@ def test_it_is_proved_and_stated_to_stay_bodies() -> None:
     verdict = verify(changed().diagram, trials=1)
     assert verdict.outcome == "proved", verdict.reason
     assert all(control.refuted for control in verdict.controls)
-    said = {(item.signal, item.says) for item in verdict.statements}
-    assert ("a_d_hat", "is made of bodies, each at its share of the nominal one or above") in said
+    reported = {(item.signal, item.says) for item in verdict.statements}
+    assert ("a_d_hat", "is made of bodies, each at its share of the nominal one or above") in reported
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_a_delay_line_of_another_length_is_refused(length: Callable[[Any], Any])
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "reports"),
     [
         (line(lambda new: ca.vertcat(new[4:], new[:4])), "next value of rows"),
         (line(lambda new: new / 2), "next value of rows"),
@@ -74,11 +74,11 @@ def test_a_delay_line_of_another_length_is_refused(length: Callable[[Any], Any])
         (steps(floor=lambda p: p.gain), "next value of theta"),
     ],
 )
-def test_a_claim_of_another_order_sign_or_parameter_is_refuted(change: Change, says: str) -> None:
+def test_a_claim_of_another_order_sign_or_parameter_is_refuted(change: Change, reports: str) -> None:
     verdict = claiming(change)
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
-    assert verdict.refutation.statement == f"learner: {says}"
+    assert verdict.refutation.statement == f"learner: {reports}"
 
 
 def test_the_claim_as_it_is_is_proved() -> None:

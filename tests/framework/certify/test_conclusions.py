@@ -17,8 +17,8 @@ def concluded(verdict) -> set[str]:
     return {item.signal for item in verdict.statements if item.concludes}
 
 
-def said(verdict, says: str) -> dict[str, tuple[str, ...]]:
-    return {item.signal: item.assumes for item in verdict.statements if item.says == says}
+def reported(verdict, reports: str) -> dict[str, tuple[str, ...]]:
+    return {item.signal: item.assumes for item in verdict.statements if item.says == reports}
 
 
 THEOREMS = {
@@ -52,7 +52,7 @@ def test_the_servos_true_gains_bound_the_command_without_a_box_on_the_estimates(
     changes = ["inverse.w_P_box=null", "inverse.w_I_box=null", "inverse.w_box=null"]
     verdict = verify(Graph.read("theorem_4", changes).diagram)
     assert verdict.outcome == "proved"
-    assert "q_c - q_tie" in said(verdict, "is bounded")
+    assert "q_c - q_tie" in reported(verdict, "is bounded")
     assert not any("exponentially stable" in item.text for item in verdict.assumptions)
 
 
@@ -80,7 +80,7 @@ def test_states_that_v_does_not_weigh_and_that_may_escape_are_listed():
     verdict = verify(loop)
     assert verdict.states is not None
     assert verdict.states.open == ("toy.y",)
-    assert said(verdict, "goes to zero") == {"x": ("the derivative of x is bounded",)}
+    assert reported(verdict, "goes to zero") == {"x": ("the derivative of x is bounded",)}
     assert any("exists for all time" in item.text and "toy.y" in item.text for item in verdict.assumptions)
 
 
@@ -114,7 +114,7 @@ def test_what_turns_is_bounded_where_only_its_sine_is_felt():
     )
     assert verdict.states is not None
     assert (verdict.states.unfelt, verdict.states.open) == (("toy.y",), ())
-    assert said(verdict, "goes to zero")["x"] == ()
+    assert reported(verdict, "goes to zero")["x"] == ()
     open_one = verify(
         scalar_loop(
             "x w y",
@@ -143,11 +143,11 @@ def _driven(rate, rest, otherwise=()):
 
 def test_a_stable_equation_with_a_bounded_input_bounds_its_state_and_a_vanishing_one_takes_it_to_zero():
     verdict = _driven(lambda x, p: -p.k, lambda x, p: -p.k * x.z + x.x)
-    assert said(verdict, "is bounded")["z"] == ()
-    assert "z" in said(verdict, "goes to zero")
+    assert reported(verdict, "is bounded")["z"] == ()
+    assert "z" in reported(verdict, "goes to zero")
     only_bounded = _driven(lambda x, p: -p.k, lambda x, p: -p.k * x.z + x.x + 1)
-    assert "z" in said(only_bounded, "is bounded")
-    assert "z" not in said(only_bounded, "goes to zero")
+    assert "z" in reported(only_bounded, "is bounded")
+    assert "z" not in reported(only_bounded, "goes to zero")
 
 
 def test_a_stated_consequence_of_a_driven_signal_has_to_follow():
@@ -160,7 +160,7 @@ def test_a_stated_consequence_of_a_driven_signal_has_to_follow():
             ),
         )
     )
-    assert "y" not in said(verdict, "is bounded")
+    assert "y" not in reported(verdict, "is bounded")
     assert verdict.states is not None
     assert verdict.states.unfelt == ("toy.y",)
 
@@ -178,12 +178,12 @@ def test_a_stated_consequence_of_a_driven_signal_has_to_follow():
 )
 def test_a_false_claim_about_what_drives_a_state_leaves_it_open(rate, rest):
     verdict = _driven(rate, rest)
-    assert "z" not in said(verdict, "is bounded")
-    assert "z" not in said(verdict, "goes to zero")
+    assert "z" not in reported(verdict, "is bounded")
+    assert "z" not in reported(verdict, "goes to zero")
 
 
 def test_a_property_of_a_driven_signal_that_was_not_shown_requires_its_conditions():
-    text = "somebody knows that z stays bounded"
+    text = "it is known that z stays bounded"
     verdict = _driven(lambda x, p: -p.k, lambda x, p: p.k * x.z + x.x, (Assumption(text),))
     assert text in {item.text for item in verdict.assumptions}
 

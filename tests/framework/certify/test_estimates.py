@@ -428,7 +428,7 @@ def test_a_memory_that_starts_below_zero_is_no_storage_however_it_is_started(
     for given in ({"learner.M_w": rows}, {"M_w": rows}):
         assert verify(by_graph, start=given).outcome == outcome
     if start < 0:
-        assert "start of what G gathers" in verify(by_graph, start={"M_w": rows}).reason
+        assert "initial value of G for" in verify(by_graph, start={"M_w": rows}).reason
         spread = Diagram.build({"plant": plant, "learner": kind(**numbers, M_w=start)})
         assert verify(spread).outcome == "not_applicable"
 

@@ -48,7 +48,7 @@ def test_the_file_itself_is_read_and_holds() -> None:
 
 
 FALSE: dict[str, tuple[Change, str]] = {
-    "V that holds a state of which nothing says the move": (
+    "V that contains a state without a stated move": (
         lambda f: f.update(stored_states=[]),
         "V depends on smoother.f, which has no rate",
     ),
@@ -98,10 +98,10 @@ FALSE: dict[str, tuple[Change, str]] = {
 
 @pytest.mark.parametrize("fault", FALSE)
 def test_a_false_file_over_samples_is_refused(fault: str) -> None:
-    change, says = FALSE[fault]
+    change, reports = FALSE[fault]
     found = json.loads(text())
     change(found)
-    with pytest.raises(ValueFault, match=f"a claim: .*({says})"):
+    with pytest.raises(ValueFault, match=f"a claim: .*({reports})"):
         from_json(json.dumps(found))
 
 
@@ -118,13 +118,13 @@ class Divides(Learner):
 
 
 @pytest.mark.parametrize(
-    ("by", "says"),
+    ("by", "reports"),
     [
         ("what is always zero", "a denominator vanishes at every random point"),
         ("infinity", "expected finite constants, found inf"),
     ],
 )
-def test_moves_that_are_nowhere_defined_are_no_proof_and_no_traceback(by: Any, says: str) -> None:
+def test_moves_that_are_nowhere_defined_are_no_proof_and_no_traceback(by: Any, reports: str) -> None:
     verdict = verify(Diagram.build({"learner": Divides(by=by), "carts": Carts()}))
     assert verdict.outcome == "not_applicable"
-    assert says in verdict.reason
+    assert reports in verdict.reason

@@ -339,7 +339,7 @@ def test_another_law_is_refuted(lie: str, state: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lie", "says"),
+    ("lie", "reports"),
     [
         ("one_state", "expected their memory to be a state of its own, found theta"),
         ("unknown_state", "names H, which is not one of its sampled states"),
@@ -350,10 +350,10 @@ def test_another_law_is_refuted(lie: str, state: str) -> None:
         ("two_factors", "expected one retention, found 2 x 1"),
     ],
 )
-def test_a_claim_of_another_form_is_none(lie: str, says: str) -> None:
+def test_a_claim_of_another_form_is_none(lie: str, reports: str) -> None:
     found = verdict(lie=lie)
     assert found.outcome == "not_applicable"
-    assert says in found.reason
+    assert reports in found.reason
 
 
 @pytest.mark.parametrize(

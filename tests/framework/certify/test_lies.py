@@ -16,7 +16,7 @@ from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
 
 
-def says(verdict: Verdict) -> set[tuple[str, str]]:
+def reports(verdict: Verdict) -> set[tuple[str, str]]:
     return {(item.signal, item.says) for item in verdict.statements if not item.assumes}
 
 
@@ -78,7 +78,7 @@ def test_a_sentence_does_not_make_an_equation_stable() -> None:
             ),
         )
     )
-    assert not {signal for signal, _ in says(verdict)} & {"z"}
+    assert not {signal for signal, _ in reports(verdict)} & {"z"}
     assert verdict.states is not None
     assert verdict.states.open == ("toy.z",)
 
@@ -101,7 +101,7 @@ class Pushed(AbstractBlock):
 
 def test_what_a_projection_takes_away_is_bounded_only_where_the_rate_is() -> None:
     verdict = verify(Diagram.build({"a": Pushed(theta_box=(-1.0, 1.0))}))
-    assert ("y", "is bounded") not in says(verdict)
+    assert ("y", "is bounded") not in reports(verdict)
     assert verdict.states is not None
     assert "a.y" in verdict.states.open
 
@@ -118,7 +118,7 @@ def test_a_path_that_the_proof_differentiates_late_has_to_be_smooth_too() -> Non
             r=lambda t: ((t - ca.floor(t)) * (1 + t) ** 2 < 1) * (2 + ca.sin(t)),
         )
     )
-    assert not {signal for signal, what in says(verdict) if what == "goes to zero"}
+    assert not {signal for signal, what in reports(verdict) if what == "goes to zero"}
 
 
 def test_a_path_that_jumps_between_constants_is_not_called_constant() -> None:
@@ -131,7 +131,7 @@ def test_a_path_that_jumps_between_constants_is_not_called_constant() -> None:
         )
     )
     assert "is constant" not in assumed(verdict)
-    assert not {signal for signal, what in says(verdict) if what == "goes to zero"}
+    assert not {signal for signal, what in reports(verdict) if what == "goes to zero"}
 
 
 def test_a_number_of_derivatives_has_no_end() -> None:

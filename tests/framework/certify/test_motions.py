@@ -38,14 +38,14 @@ def test_a_motion_is_that_of_the_plant_with_its_commands_held() -> None:
     motion = moved.motion(np.random.default_rng(3))
     left = moved.left(motion, T, 0.6)
     c, m, b = motion.commands(T * np.arange(120)).T, np.array(M), np.array(B)
-    v, y, said = np.zeros((121, 2)), np.zeros((121, 2)), np.zeros((120, 2))
+    v, y, reported = np.zeros((121, 2)), np.zeros((121, 2)), np.zeros((120, 2))
     for k in range(120):
         fade, end = np.exp(-b / m * T), c[k] / b
         v[k + 1] = end + (v[k] - end) * fade
         y[k + 1] = y[k] + end * T + (v[k] - end) * (1 - fade) * m / b
-        said[k] = m * (v[k] - v[k - 1]) / T + b * (y[k] - y[k - 1]) / T if k else 0
+        reported[k] = m * (v[k] - v[k - 1]) / T + b * (y[k] - y[k - 1]) / T if k else 0
     np.testing.assert_allclose(left.y[1:], c[:-1], atol=1e-15)
-    np.testing.assert_allclose(left.predicted, said, atol=1e-11)
+    np.testing.assert_allclose(left.predicted, reported, atol=1e-11)
     np.testing.assert_allclose(left.left, left.y - left.predicted, atol=1e-12)
 
 
@@ -109,12 +109,12 @@ class Swapped(Learner):
         return replace(stated, steps=(replace(stated.steps[0], true=stated.steps[0].true[[2, 3, 0, 1]]),))
 
 
-@pytest.mark.parametrize(("learner", "says"), [(Shuffled(), "stored row 1, "), (Swapped(), ": row 1, ")])
-def test_what_is_stored_and_what_is_true_is_compared(learner: Learner, says: str) -> None:
+@pytest.mark.parametrize(("learner", "reports"), [(Shuffled(), "stored row 1, "), (Swapped(), ": row 1, ")])
+def test_what_is_stored_and_what_is_true_is_compared(learner: Learner, reports: str) -> None:
     found = verdict(learner)
     assert found.outcome == "not_applicable"
     assert "does not fall with the period: " in found.reason
-    assert says in found.reason
+    assert reports in found.reason
 
 
 class Lavish(Learner):

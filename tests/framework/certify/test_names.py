@@ -17,8 +17,8 @@ from dmframe.certify.claim import claim_of
 from dmframe.diagram import Diagram
 
 
-def said(verdict: Any, says: str) -> list[str]:
-    return [item.signal for item in verdict.statements if item.says == says]
+def reported(verdict: Any, reports: str) -> list[str]:
+    return [item.signal for item in verdict.statements if item.says == reports]
 
 
 @pytest.mark.parametrize("other", ["dx", "x_dot", "y"])
@@ -31,7 +31,7 @@ def test_the_rate_of_a_state_never_takes_the_name_of_a_signal(other):
         )
     )
     assert verdict.outcome == "proved"
-    assert said(verdict, "goes to zero") == ["x", "d(x)/dt" if other == "dx" else "dx"]
+    assert reported(verdict, "goes to zero") == ["x", "d(x)/dt" if other == "dx" else "dx"]
 
 
 def test_a_signal_by_the_name_of_a_rate_in_another_block_is_not_stated_to_vanish():
@@ -41,7 +41,7 @@ def test_a_signal_by_the_name_of_a_rate_in_another_block_is_not_stated_to_vanish
     going = _block("dx", lambda x: {"dx": 0 * x.dx}, lambda x: Certificate((Square(x.dx),), task=True))
     verdict = verify(Diagram.build({"arm": going, "filter": filtered}))
     assert verdict.outcome == "proved"
-    assert said(verdict, "goes to zero") == ["x", "d(x)/dt"]
+    assert reported(verdict, "goes to zero") == ["x", "d(x)/dt"]
     assert not any(item.concludes for item in verdict.statements)
 
 
@@ -57,8 +57,8 @@ def test_two_vectors_that_nothing_prints_are_distinguished():
 
     verdict = verify(scalar_loop("x y z", rates, claim))
     assert verdict.outcome == "proved"
-    assert said(verdict, "is bounded") == ["expression 1 of y, x, z (toy)", "x", "y"]
-    assert said(verdict, "goes to zero") == ["expression 2 of y, x, z (toy)"]
+    assert reported(verdict, "is bounded") == ["expression 1 of y, x, z (toy)", "x", "y"]
+    assert reported(verdict, "goes to zero") == ["expression 2 of y, x, z (toy)"]
 
 
 def test_of_two_vectors_that_differ_far_away_only_neither_replaces_the_other():
@@ -80,7 +80,7 @@ def test_plant_states_of_one_name_are_printed_with_their_blocks():
     two = _block("x q", lambda x: {"x": -x.x, "q": 1 + 0 * x.q}, claim)
     verdict = verify(Diagram.build({"one": one, "two": two}))
     assert verdict.outcome == "proved"
-    assert said(verdict, "is bounded") == ["x (one)", "x (two)", "q (one)"]
+    assert reported(verdict, "is bounded") == ["x (one)", "x (two)", "q (one)"]
 
 
 def _block(

@@ -22,7 +22,7 @@ from dmframe.diagram import Diagram
 from dmframe.exact import random_prime, zero_test
 
 
-def says(verdict: Verdict, what: str) -> list[str]:
+def reports(verdict: Verdict, what: str) -> list[str]:
     return [item.signal for item in verdict.statements if item.says.startswith(what)]
 
 
@@ -51,10 +51,10 @@ def test_a_potential_that_rounding_takes_for_zero_has_its_tube_all_the_same() ->
     def stored(x: Any) -> Potential:
         return Potential(x.s, ca.SX(WIDE), ca.SX(1))
 
-    assert says(limited(stored, 5.0, 1e-3), "stays between") == []  # V(0) = 12.5, for which the tube is too wide
+    assert reports(limited(stored, 5.0, 1e-3), "stays between") == []  # V(0) = 12.5, for which the tube is too wide
     verdict = limited(stored, 0.5, 1.0)
-    (said,) = (item for item in verdict.statements if item.says.startswith("stays between"))
-    assert said.says == "stays between -1 and 1, but for at most 0.1444 beyond"  # sqrt(0.125 / 6)
+    (reported,) = (item for item in verdict.statements if item.says.startswith("stays between"))
+    assert reported.says == "stays between -1 and 1, but for at most 0.1444 beyond"  # sqrt(0.125 / 6)
 
     def moved(t: float, state: Any) -> list[float]:
         q, s = state
@@ -86,9 +86,9 @@ def test_no_tube_is_reported_where_a_source_steps_since_v_begins_again_there() -
     }
     stepping = dm.load(made, name="stepping").verify().verdict
     assert stepping.outcome == "proved"
-    assert says(stepping, "stays between") == []
+    assert reports(stepping, "stays between") == []
     del made["blocks"]["load"]  # type: ignore[attr-defined]
-    assert says(dm.load(made, name="still").verify().verdict, "stays between") == ["arm.q"]
+    assert reports(dm.load(made, name="still").verify().verdict, "stays between") == ["arm.q"]
 
 
 # The text of a block's assumption about an input is not the block's own.
@@ -108,14 +108,14 @@ def driven(inputs: Callable[[Any], Any], growth: float, sources: Any = None) -> 
 
 def test_an_input_that_is_what_it_drives_bounds_nothing() -> None:
     verdict = driven(lambda x: 2 * x.w, 0.0)  # w grows like exp(t)
-    assert "w" not in says(verdict, "is bounded")
+    assert "w" not in reports(verdict, "is bounded")
     assert verdict.states is not None
     assert "toy.w" in verdict.states.open
 
 
 def test_what_is_assumed_of_an_input_is_that_it_stays_bounded_and_what_it_is_made_of() -> None:
     verdict = driven(lambda x: 2 * x.v, 1.0, sources=True)
-    assert "w" in says(verdict, "is bounded")
+    assert "w" in reports(verdict, "is bounded")
     text = "the input of the linear equation that drives w, which is made of toy.v, stays bounded"
     assert text in {item.text for item in verdict.assumptions}
 
@@ -134,7 +134,7 @@ def mixed(inputs: Callable[[Any], Any]) -> Verdict:
 
 def test_an_input_may_read_a_state_of_what_it_drives_if_it_alone_does_not_bound_that() -> None:
     verdict = mixed(lambda x: 3 * x.v)
-    assert "w + v" in says(verdict, "is bounded")
+    assert "w + v" in reports(verdict, "is bounded")
     assert verdict.states is not None
     assert verdict.states.open == ()
 
@@ -143,7 +143,7 @@ def test_an_input_may_read_a_state_of_what_it_drives_if_it_alone_does_not_bound_
 def test_an_input_whose_states_bound_what_it_drives_bounds_nothing(power: int) -> None:
     """The same input, containing w: assuming it bounded would assume the conclusion."""
     verdict = mixed(lambda x: 3 * x.v + (x.w + x.v) ** power)
-    assert "w + v" not in says(verdict, "is bounded")
+    assert "w + v" not in reports(verdict, "is bounded")
     assert verdict.states is not None
     assert {"toy.v", "toy.w"} <= set(verdict.states.open)
 
@@ -178,8 +178,8 @@ def ranked(R: Callable[[Any], Any]) -> Verdict:
 )
 def test_a_matrix_that_cannot_have_full_rank_concludes_nothing(R: Callable[[Any], Any]) -> None:
     verdict = ranked(R)
-    assert "z_1" in says(verdict, "goes to zero")
-    assert "z" not in says(verdict, "goes to zero")
+    assert "z_1" in reports(verdict, "goes to zero")
+    assert "z" not in reports(verdict, "goes to zero")
 
 
 def test_an_error_that_is_identically_zero_is_none() -> None:
@@ -279,7 +279,7 @@ def test_a_generator_that_names_errors_may_be_filtered() -> None:
 
     verdict = verify(Diagram.build({"wishing": Wishing(), "following": Following()}))
     assert verdict.outcome == "proved"
-    assert says(verdict, "goes to zero") == ["y", "dy"]
+    assert reports(verdict, "goes to zero") == ["y", "dy"]
 
 
 # The primes are not known in advance, and a positive function may have an edge there.

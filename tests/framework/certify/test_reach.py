@@ -84,16 +84,16 @@ def test_a_goal_out_of_reach_is_reported_with_distance_and_reach(share: float, f
 def test_a_path_that_leaves_the_reach_later_is_reported_with_the_time(farthest: float) -> None:
     path = {"type": "circle", "center": _center().tolist(), "radius": 0.9 * farthest, "rate": 1}
     assert far(following(path)) == []
-    (said,) = far(following(path | {"center": (_center() + np.array([0.2 * farthest, 0])).tolist()}))
-    assert f"path.x_d is {plain(1.1 * farthest, 'm')} from the first joint" in said
+    (reported,) = far(following(path | {"center": (_center() + np.array([0.2 * farthest, 0])).tolist()}))
+    assert f"path.x_d is {plain(1.1 * farthest, 'm')} from the first joint" in reported
 
 
 def test_a_sampled_law_may_not_follow_what_is_out_of_reach_either() -> None:
     from dmframe.graph.graph import Graph
 
     diagram = Graph.read("ur10_slow_sampled", ("path.radius=3",)).diagram
-    (said,) = [item.name for item in reach_conditions(claim_of(diagram))]
-    assert said.startswith("path.x_d is ")
+    (reported,) = [item.name for item in reach_conditions(claim_of(diagram))]
+    assert reported.startswith("path.x_d is ")
 
 
 def test_a_loop_without_a_robot_or_without_a_tools_path_has_no_reach() -> None:
@@ -201,10 +201,10 @@ class Chained:
 @pytest.mark.parametrize(("share", "expected"), [(0.9, 1), (1.1, 0)])
 def test_a_goal_nearer_than_a_planar_arm_folds_is_out_of_reach(share: float, expected: int) -> None:
     goal = _center() + share * 0.05 * np.array([0.6, 0.8])  # links of 0.45 and 0.4 m
-    said = [
+    reported = [
         text for text in far(following({"type": "setpoint", "x_d": goal.tolist()})) if "comes no nearer than" in text
     ]
-    assert len(said) == expected
+    assert len(reported) == expected
 
 
 def test_a_slide_behind_joints_about_different_axes_has_no_shell(tmp_path: Path) -> None:

@@ -178,28 +178,28 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
         "learner.gain changed in the equations only",
         "learner.floor changed in the equations only",
     }
-    said = verdict_text("carts", verdict)
-    assert "does not rise where eta is zero: V of θ (learner)" in said
+    reported = verdict_text("carts", verdict)
+    assert "does not rise where eta is zero: V of θ (learner)" in reported
     assert "continuous time" not in meaning_of(verdict, T).sentence
     assert summary("carts", verdict)["residual_zero"] is True
 
 
 @pytest.mark.parametrize(
-    ("lie", "says"),
+    ("lie", "reports"),
     [
         ("greedy", "learner: next value of theta"),
         ("cut", "learner: next value of theta"),
         ("other_gain", "learner: next value of theta"),
-        ("forgetful", "learner: what rows keeps"),
-        ("backwards", "learner: what the plant's motion obeys"),
+        ("forgetful", "learner: next value of rows"),
+        ("backwards", "learner: plant identity"),
         ("unsolved", "learner: equation solved by its output"),
     ],
 )
-def test_a_false_claim_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
+def test_a_false_claim_is_refuted_and_its_point_replays(lie: str, reports: str) -> None:
     verdict = verify(diagram(lie=lie))
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
-    assert verdict.refutation.statement == says
+    assert verdict.refutation.statement == reports
     assert verdict.refutation.blame == ("learner",)
     assert verdict.samples is not None
     assert replay(assembled(verdict.samples), verdict.refutation) == verdict.refutation.residue != 0
@@ -295,16 +295,16 @@ class MisshapenLearner(Learner):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "reports"),
     [
         ("name", "names thetta, which is not one of its sampled states"),
         ("shape", "the steps of theta: expected a gain of 4 x 1, found 1 x 1"),
         ("box", "the steps of theta: expected a box of two ends, found 1"),
     ],
 )
-def test_a_value_of_the_wrong_shape_or_name_is_refused(wrong: Any, says: str) -> None:
+def test_a_value_of_the_wrong_shape_or_name_is_refused(wrong: Any, reports: str) -> None:
     reason = verify(Diagram.build({"learner": MisshapenLearner(wrong=wrong), "carts": Carts()})).reason
-    assert says in reason
+    assert reports in reason
 
 
 class Push(AbstractBlock):
@@ -396,7 +396,7 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
 
 
 @pytest.mark.parametrize(
-    ("lie", "says"),
+    ("lie", "reports"),
     [
         ("all_is_residual", "the residual contains f.f, which V also contains"),
         (
@@ -418,10 +418,10 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
         ("no_relation", "identically zero, so that nothing would be proved: f: remainder of a plant identity"),
     ],
 )
-def test_a_claim_that_is_false_or_empty_is_none(lie: str, says: str) -> None:
+def test_a_claim_that_is_false_or_empty_is_none(lie: str, reports: str) -> None:
     verdict = verify(filtered(lie=lie, a=3.0 if lie == "all_is_residual" else 0.5))
     assert verdict.outcome == "not_applicable"
-    assert says in verdict.reason
+    assert reports in verdict.reason
 
 
 def test_two_relations_are_two_controls() -> None:
@@ -492,7 +492,7 @@ class Steps(AbstractBlock):
 
 
 @pytest.mark.parametrize(
-    ("lie", "says"),
+    ("lie", "reports"),
     [
         ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
         ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
@@ -500,23 +500,25 @@ class Steps(AbstractBlock):
         ("no_box", "the identity holds, but a condition fails: f: box of w is not empty"),
     ],
 )
-def test_steps_without_information_are_no_claim(lie: str, says: str) -> None:
+def test_steps_without_information_are_no_claim(lie: str, reports: str) -> None:
     assert verify(filtered(Steps)).outcome == "proved"
     verdict = verify(filtered(Steps, lie=lie))
     assert verdict.outcome == "not_applicable"
-    assert says in verdict.reason
+    assert reports in verdict.reason
 
 
 def test_rows_may_hold_any_function_of_what_is_measured() -> None:
     assert verify(filtered(Steps, lie="root")).outcome == "proved"
 
 
-@pytest.mark.parametrize(("lie", "says"), [("odd", "property of a function"), ("folded", "no more than the rounding")])
-def test_what_the_field_cannot_decide_is_not_refuted(lie: str, says: str) -> None:
+@pytest.mark.parametrize(
+    ("lie", "reports"), [("odd", "property of a function"), ("folded", "no more than the rounding")]
+)
+def test_what_the_field_cannot_decide_is_not_refuted(lie: str, reports: str) -> None:
     verdict = verify(filtered(Steps, lie=lie))
     assert verdict.outcome == "not_applicable"
     assert verdict.reason.startswith("not decided: what a sample does")
-    assert says in verdict.reason
+    assert reports in verdict.reason
 
 
 def assumed(diagram: Diagram) -> str:
@@ -535,13 +537,14 @@ def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
 
 
 def test_a_residual_without_a_bound_and_rows_without_a_relation_are_listed() -> None:
-    said = assumed(filtered(Steps))
+    reported = assumed(filtered(Steps))
     assert (
-        "f: the plant's motion satisfies the equation of its rows; the block states no relation that implies it" in said
+        "f: the plant's motion satisfies the equation of its rows; the block states no relation that implies it"
+        in reported
     )
     assert (
         "other: the residual other than that of the steps, a function of carts.y, is small: no bound of it is proved"
-        in said
+        in reported
     )
     assert "no relation" not in assumed(diagram())
     left = "what its data leave unexplained and a residual that nothing bounds"
@@ -565,16 +568,16 @@ def test_a_certificate_in_continuous_time_is_listed_as_no_contribution() -> None
 class Wordy(Steps):
     """Breaks the line of its text, so that the rest resembles a verdict."""
 
-    said: str = ""
+    reported: str = ""
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
-        return (Assumption(self.said), Inequality(self.said, p.gain, ""))
+        return (Assumption(self.reported), Inequality(self.reported, p.gain, ""))
 
 
-@pytest.mark.parametrize("said", ["all is well\nproved", "\x1b[2Jproved", "fine\u2028proved"])
-def test_an_authors_words_stay_on_their_line(said: str) -> None:
-    assert verify(filtered(Wordy, said="all is well")).outcome == "proved"
-    verdict = verify(filtered(Wordy, said=said))
+@pytest.mark.parametrize("reported", ["all is well\nproved", "\x1b[2Jproved", "fine\u2028proved"])
+def test_an_authors_words_stay_on_their_line(reported: str) -> None:
+    assert verify(filtered(Wordy, reported="all is well")).outcome == "proved"
+    verdict = verify(filtered(Wordy, reported=reported))
     assert verdict.outcome == "not_applicable"
     assert "expected texts of one line" in verdict.reason
 

@@ -104,15 +104,15 @@ def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
                 verdicts["count"] = conditions_at(diagram, start, {label: moved}, POINTS, box)
                 verdicts["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
             for point in range(POINTS):
-                says = {kind: int(found[point]) for kind, found in verdicts.items() if found is not None}
-                if not {HOLDS, FAILS} & set(says.values()):
+                reports = {kind: int(found[point]) for kind, found in verdicts.items() if found is not None}
+                if not {HOLDS, FAILS} & set(reports.values()):
                     yield label, "open"
                     continue
                 proved = single(diagram, start, label, moved[point]).outcome == "proved"
-                for kind, said in says.items():
-                    false = (said == HOLDS and not proved) or (said == FAILS and proved)
-                    word = "holds" if said == HOLDS else "fails"
-                    yield label, f"{kind} says {word}, falsely, at {moved[point].tolist()}" if false else "agrees"
+                for kind, reported in reports.items():
+                    false = (reported == HOLDS and not proved) or (reported == FAILS and proved)
+                    word = "holds" if reported == HOLDS else "fails"
+                    yield label, f"{kind} reports {word}, falsely, at {moved[point].tolist()}" if false else "agrees"
 
 
 def false(name: str, labels: int) -> list[tuple[str, str]]:
@@ -130,10 +130,10 @@ def test_the_ends_of_an_interval_are_those_of_the_graph_that_writes_them() -> No
     # the first is the same for either order of the ends in a row; the second is valid in the written order only
     rows = np.array([[[0.5, 2.5], [2.5, 20]], [[0.5, 0.6], [20, 20]]])
     with SYMBOLIC:
-        said = conditions_at(diagram, start, {label: rows}, len(rows), verify(diagram, start=start))
+        reported = conditions_at(diagram, start, {label: rows}, len(rows), verify(diagram, start=start))
     alone = [single(diagram, start, label, row).outcome == "proved" for row in rows]
-    assert said is not None
-    assert said.tolist() == alone == [FAILS, HOLDS]
+    assert reported is not None
+    assert reported.tolist() == alone == [FAILS, HOLDS]
 
 
 @pytest.mark.parametrize("graph", sorted(graphs()))

@@ -31,7 +31,7 @@ def pulled(
     return scalar_loop(of, lambda x, u, p: {"y": x.z, "z": -p.k * force(x.y, WIDTH) - x.z}, claim)
 
 
-def says(verdict: Verdict) -> set[tuple[str, str]]:
+def reports(verdict: Verdict) -> set[tuple[str, str]]:
     return {(item.signal, item.says) for item in verdict.statements}
 
 
@@ -40,7 +40,7 @@ def test_a_softening_spring_is_proved_and_bounds_what_pulls_it() -> None:
     assert verdict.outcome == "proved"
     assert len(verdict.controls) > 3
     assert all(control.refuted for control in verdict.controls)
-    assert {("y", "is bounded"), ("z", "goes to zero")} <= says(verdict)
+    assert {("y", "is bounded"), ("z", "goes to zero")} <= reports(verdict)
     assert not any("sqrt" in item.text for item in verdict.assumptions)  # it is defined everywhere
 
 
@@ -92,7 +92,7 @@ def test_a_potential_of_what_is_zero_elsewhere_bounds_only_that() -> None:
         lambda x, p: Potential(beyond(x.y, ca.SX(1)), ca.SX(WIDTH), p.k),
     )
     verdict = verify(honest)
-    assert ("y", "goes to zero") not in says(verdict)
+    assert ("y", "goes to zero") not in reports(verdict)
 
 
 def test_a_subclass_of_a_potential_is_refused() -> None:
@@ -147,7 +147,7 @@ def test_an_estimate_stays_positive_definite_if_it_starts_so() -> None:
     verdict = verify(estimating(), start={"toy.y": 1.0})
     assert verdict.outcome == "proved"
     assert all(control.refuted for control in verdict.controls)
-    assert ("y", "stays in a compact set of positive definite matrices") in says(verdict)
+    assert ("y", "stays in a compact set of positive definite matrices") in reports(verdict)
     assert verdict.states is not None
     assert verdict.states.open == ()
 

@@ -33,8 +33,8 @@ def dmframe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Dmframe:
         out, err = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stopped:
             main()
-        said = Said(int(stopped.value.code or 0), out.getvalue(), err.getvalue())
-        assert "Traceback" not in said.out + said.err
-        return said
+        reported = Said(int(stopped.value.code or 0), out.getvalue(), err.getvalue())
+        assert "Traceback" not in reported.out + reported.err
+        return reported
 
     return call

@@ -11,14 +11,14 @@ from dmframe.catalogue import graphs
 
 
 def test_the_page_prints_margins_poles_and_periods(dmframe: Any) -> None:
-    said = dmframe("analyse", "pendulum", "--horizon", "2")
-    assert (said.status, said.err) == (0, "")
+    reported = dmframe("analyse", "pendulum", "--horizon", "2")
+    assert (reported.status, reported.err) == (0, "")
     for expected in ("crossover", "phase margin", "slowest pole", "poles at zero", "linearised, moving", "simulated"):
-        assert expected in said.out
-    loop, tie = (line for line in said.out.splitlines() if line.split()[:1] == ["joint1"])
+        assert expected in reported.out
+    loop, tie = (line for line in reported.out.splitlines() if line.split()[:1] == ["joint1"])
     assert loop.endswith("not passive  passive")  # a PID servo is passive only with its inverse
     assert tie.split()[1:] == ["1", "0.3024", "0.3028"]  # 20.3 k^2 + 60 k = 20, and 20 k^2 + 60 k = 20
-    assert "over the graph's own servo gains" in said.out
+    assert "over the graph's own servo gains" in reported.out
 
 
 def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> None:
@@ -83,27 +83,29 @@ class Line(AbstractBlock):
     text = graphs()["arm2_joint"].read_text(encoding="utf-8")
     text = text.replace("  servo: ", "  line: {type: line.py:Line}\n  servo: ") + "wires: {servo.dq_c: line.dq_late}\n"
     (tmp_path / "late.yaml").write_text(text, encoding="utf-8")
-    said = dmframe("analyse", str(tmp_path / "late.yaml"), "--horizon", "0.1", "--trust", "--set", "dynamics.Gamma=10")
-    assert (said.status, said.err) == (0, "")
-    assert "eigenvalues at one, free equilibrium coordinates" in said.out
-    assert "slowest pole" not in said.out
-    assert "its upper bound, proved by interval arithmetic" in said.out
-    assert "This loop is discrete-time" in said.out
+    reported = dmframe(
+        "analyse", str(tmp_path / "late.yaml"), "--horizon", "0.1", "--trust", "--set", "dynamics.Gamma=10"
+    )
+    assert (reported.status, reported.err) == (0, "")
+    assert "eigenvalues at one, free equilibrium coordinates" in reported.out
+    assert "slowest pole" not in reported.out
+    assert "its upper bound, proved by interval arithmetic" in reported.out
+    assert "This loop is discrete-time" in reported.out
 
 
 def test_a_horizon_that_is_not_a_time_is_refused(dmframe: Any) -> None:
-    said = dmframe("analyse", "pendulum", "--horizon", "-1")
-    assert said.status == 2
-    assert said.err == "dmframe: horizon -1.0: expected a time above zero\n"
+    reported = dmframe("analyse", "pendulum", "--horizon", "-1")
+    assert reported.status == 2
+    assert reported.err == "dmframe: horizon -1.0: expected a time above zero\n"
 
 
 def test_a_feedback_correction_too_weak_for_the_uncertain_gains_is_reported(dmframe: Any, tmp_path: Any) -> None:
     text = graphs()["pendulum"].read_text(encoding="utf-8")
     file = tmp_path / "mine.yaml"
     file.write_text(text + "uncertain: {servo.K_I: [1, 2000]}\n", encoding="utf-8")
-    said = dmframe("analyse", str(file), "--horizon", "0.1")
-    assert "over the intervals of uncertain:" in said.out
-    assert ", too small" in said.out
+    reported = dmframe("analyse", str(file), "--horizon", "0.1")
+    assert "over the intervals of uncertain:" in reported.out
+    assert ", too small" in reported.out
     (tie,) = json.loads(dmframe("analyse", str(file), "--horizon", "0.1", "--json").out)["K_c"]
     assert tie.keys() == {"block", "joint", "own", "holds", "least", "least_without_friction"}
     assert tie["holds"] is False

@@ -18,9 +18,9 @@ def checked(path: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_written_claim_is_checked_again_and_a_false_one_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("verify", "arm2_joint", "--claim", "claim.json")
-    assert said.status == 0
-    assert "wrote claim.json" in said.out
+    reported = dmframe("verify", "arm2_joint", "--claim", "claim.json")
+    assert reported.status == 0
+    assert "wrote claim.json" in reported.out
     path = tmp_path / "claim.json"
     done = checked(path)
     assert done.returncode == 0, done.stderr
@@ -53,7 +53,7 @@ def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "reports"),
     [
         (("pendulum", "arm2_joint", "--claim", "c.json"), "--claim: expected one graph, found 2"),
         (("ur10_fast_kinematic", "--claim", "c.json"), "--claim: ur10_fast_kinematic has no claim: "),
@@ -61,9 +61,9 @@ def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
     ],
 )
 def test_without_a_single_claim_to_write_this_is_reported(
-    dmframe: Any, tmp_path: Path, words: tuple[str, ...], says: str
+    dmframe: Any, tmp_path: Path, words: tuple[str, ...], reports: str
 ) -> None:
-    said = dmframe("verify", *words)
-    assert said.status == 2
-    assert says in said.err
+    reported = dmframe("verify", *words)
+    assert reported.status == 2
+    assert reports in reported.err
     assert not list(tmp_path.glob("**/c.json"))

@@ -22,10 +22,10 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_drive_writes_what_a_run_writes_and_is_played_again(dmframe: Any) -> None:
-    said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "0.16 s", "--out", "log", "--no-plots")
-    assert said.status == 0, said.err
-    assert "notice: robot: sim\n" in said.out
-    assert said.out.endswith("results: log\n")
+    reported = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "0.16 s", "--out", "log", "--no-plots")
+    assert reported.status == 0, reported.err
+    assert "notice: robot: sim\n" in reported.out
+    assert reported.out.endswith("results: log\n")
     assert sorted(path.name for path in Path("log").iterdir()) == [
         "graph.yaml",
         "provenance.json",
@@ -33,14 +33,14 @@ def test_a_drive_writes_what_a_run_writes_and_is_played_again(dmframe: Any) -> N
         "signals.nc",
         "summary.json",
     ]
-    said = dmframe("replay", "log", "ur10_fast")
-    assert said.status == 0
-    assert said.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
-    assert said.out.endswith("by the compiled engine: identical, bit by bit\n")
-    assert "of 21 samples of log, recomputed" in said.out
-    said = dmframe("replay", "log", "ur10_fast", "--set", "task.gamma=1", "--json")
-    assert said.status == 1
-    assert json.loads(said.out)["identical"] is False
+    reported = dmframe("replay", "log", "ur10_fast")
+    assert reported.status == 0
+    assert reported.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
+    assert reported.out.endswith("by the compiled engine: identical, bit by bit\n")
+    assert "of 21 samples of log, recomputed" in reported.out
+    reported = dmframe("replay", "log", "ur10_fast", "--set", "task.gamma=1", "--json")
+    assert reported.status == 1
+    assert json.loads(reported.out)["identical"] is False
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -62,11 +62,11 @@ def test_a_signal_stops_the_robot_and_what_was_done_is_kept(
 
     monkeypatch.setattr(SimulatedRobot, "read", signalled)
     monkeypatch.setattr(SimulatedRobot, "stop", noted)
-    said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
-    assert said.status == 130
+    reported = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
+    assert reported.status == 130
     assert stops == [2.0]
     name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
-    assert f"the robot was stopped: requested: {name}" in said.out
+    assert f"the robot was stopped: requested: {name}" in reported.out
     assert json.loads(Path("log/summary.json").read_text())["interrupted"] is True
 
 
@@ -81,19 +81,19 @@ def test_a_signal_before_the_way_to_the_start_moves_nothing(dmframe: Any, monkey
 
     monkeypatch.setattr(drive, "start_angles", signalled)
     monkeypatch.setattr(SimulatedRobot, "move", lambda *given: moved.append(given))
-    said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
-    assert (said.status, moved) == (130, [])
-    assert "sim: the robot was stopped before its first command: requested: Ctrl-C\n" in said.err
+    reported = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
+    assert (reported.status, moved) == (130, [])
+    assert "sim: the robot was stopped before its first command: requested: Ctrl-C\n" in reported.err
     assert not Path("log").exists()
 
 
 def test_a_stop_by_the_gate_has_another_status_and_its_reason(dmframe: Any) -> None:
     Path("arm.yaml").write_text("dmframe-limits: 1\nbox: {y: [0.8 m, 1 m]}\n")
-    said = dmframe(
+    reported = dmframe(
         "drive", "ur10_fast", "--robot", "sim", "--seconds", "2 s", "--limits", "arm.yaml", "--out", "log", "--no-plots"
     )
-    assert said.status == 1
-    assert "the robot was stopped: workspace: coordinate 2 of the tool is at 79" in said.out
+    assert reported.status == 1
+    assert "the robot was stopped: workspace: coordinate 2 of the tool is at 79" in reported.out
 
 
 def test_wrong_arguments_are_refused(dmframe: Any) -> None:
@@ -107,12 +107,12 @@ def test_wrong_arguments_are_refused(dmframe: Any) -> None:
         (["--robot", "ur_rtde", "--limits", "arm.yaml"], "--robot ur_rtde: expected the address of an arm"),
         (["--robot", "sim", "--limits", "none.yaml"], "expected a limits file, found none"),
     ):
-        said = dmframe("drive", "ur10_fast", "--without-a-passed-rehearsal", *words)
-        assert said.status == 2
-        assert text in said.err
+        reported = dmframe("drive", "ur10_fast", "--without-a-passed-rehearsal", *words)
+        assert reported.status == 2
+        assert text in reported.err
         assert not Path("runs").exists() or not any(Path("runs").iterdir())
-    said = dmframe("drive", "pd_torque", "--robot", "sim", "--set", "clock=2 ms")
-    assert (said.status, "expected a graph whose only command is" in said.err) == (2, True)
+    reported = dmframe("drive", "pd_torque", "--robot", "sim", "--set", "clock=2 ms")
+    assert (reported.status, "expected a graph whose only command is" in reported.err) == (2, True)
 
 
 def test_a_rehearsal_that_was_cut_short_is_not_kept(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,8 +120,8 @@ def test_a_rehearsal_that_was_cut_short_is_not_kept(dmframe: Any, monkeypatch: p
 
     given = rehearse.conditions
     monkeypatch.setattr(rehearse, "conditions", lambda *numbers: given(*numbers)[:2])
-    said = dmframe("rehearse", "ur10_fast", "--seconds", "0.4 s")
-    assert said.status == 0
-    assert "1 sample of delay, 8 ms" in said.out
-    assert said.out.endswith("not kept for drive: that requires runs of 40 s\n")
+    reported = dmframe("rehearse", "ur10_fast", "--seconds", "0.4 s")
+    assert reported.status == 0
+    assert "1 sample of delay, 8 ms" in reported.out
+    assert reported.out.endswith("not kept for drive: that requires runs of 40 s\n")
     assert not list(Path("state").rglob("*.json"))

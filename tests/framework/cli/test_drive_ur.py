@@ -71,20 +71,20 @@ def test_it_follows_the_run_and_its_log_is_played_again_identically(dmframe: Any
         assert process.stdout is not None
         try:
             assert "a virtual ur10" in process.stdout.readline()
-            said = dmframe(*words(host, "--patience", f"{LONG} s"))
+            reported = dmframe(*words(host, "--patience", f"{LONG} s"))
         finally:
             process.terminate()
         printed = process.stdout.read()
-    assert said.status == 0, said.err
-    assert "measured latency of commands" in said.out
+    assert reported.status == 0, reported.err
+    assert "measured latency of commands" in reported.out
     assert "dmframe_follow ends: its last line is done" in printed
     assert len(signals("time")[0]) == 251
     assert off_the_run() < 1e-6  # 0.1 mm is required
-    said = dmframe("replay", "log", "ur10_fast")
-    assert said.status == 0
-    assert said.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
-    assert "of 251 samples of log, recomputed" in said.out
-    assert said.out.endswith(": identical, bit by bit\n")
+    reported = dmframe("replay", "log", "ur10_fast")
+    assert reported.status == 0
+    assert reported.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
+    assert "of 251 samples of log, recomputed" in reported.out
+    assert reported.out.endswith(": identical, bit by bit\n")
 
 
 @contextmanager
@@ -127,9 +127,9 @@ def test_while_a_client_is_frozen_the_arm_comes_to_rest_and_it_reports_it_when_i
         assert "dmframe_follow ends: its last line is done" in held.messages[-1]
         with held.in_background():
             process.send_signal(signal.SIGCONT)
-            said, _ = process.communicate(timeout=LONG)
-    assert process.returncode == 1, said
-    assert "the robot was stopped: robot: its script has ended" in said
+            reported, _ = process.communicate(timeout=LONG)
+    assert process.returncode == 1, reported
+    assert "the robot was stopped: robot: its script has ended" in reported
     assert json.loads(Path("log/summary.json").read_text())["interrupted"] is True
     (t,) = signals("time")
     assert len(t) >= FAST - 10
@@ -160,10 +160,10 @@ def test_a_signal_stops_the_arm_gently_and_all_files_are_there(
 
     trace = Trace(arm)
     arm.listeners.append(Sent())
-    said = dmframe(*words("arm"))
+    reported = dmframe(*words("arm"))
     name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
-    assert said.status == 130
-    assert f"the robot was stopped: requested: {name}" in said.out
+    assert reported.status == 130
+    assert f"the robot was stopped: requested: {name}" in reported.out
     assert np.max(-np.diff(trace.commanded)) / arm.dt == pytest.approx(2.0)
     assert arm.target.still
     assert not arm.running
@@ -181,13 +181,13 @@ def test_a_log_with_lost_samples_and_a_slider_is_played_again_identically(dmfram
                 robot.lose(2)
 
     arm.listeners.append(Disturbed())
-    said = dmframe(*words("arm", "--ramp", "0.2 s", "--seconds", "1 s"))
-    assert said.status == 0, said.err
-    assert "4 of " in said.out
-    assert "samples were lost" in said.out
+    reported = dmframe(*words("arm", "--ramp", "0.2 s", "--seconds", "1 s"))
+    assert reported.status == 0, reported.err
+    assert "4 of " in reported.out
+    assert "samples were lost" in reported.out
     assert dmframe("replay", "log", "ur10_fast").out.endswith("identical, bit by bit\n")
-    said = dmframe("replay", "log", "ur10_fast", "--set", "task.gamma=0.9")
-    assert said.status == 1
+    reported = dmframe("replay", "log", "ur10_fast", "--set", "task.gamma=0.9")
+    assert reported.status == 1
 
 
 def test_what_must_be_there_before_an_arm_is_driven(
@@ -199,27 +199,27 @@ def test_what_must_be_there_before_an_arm_is_driven(
         (unlimited, "expected an acceleration limit for a real robot"),
         (rehearsed, "expected a passed rehearsal of exactly this graph, found none"),
     ):
-        said = dmframe(*given)
-        assert said.status == 2
-        assert text in said.err
+        reported = dmframe(*given)
+        assert reported.status == 2
+        assert text in reported.err
         assert arm.cycles == 0
     monkeypatch.setattr(rehearse, "conditions", lambda *_: [Condition("nothing, the ideal robot", {})])
     monkeypatch.setattr(rehearse, "LONGEST", 0.4)
     assert dmframe("rehearse", "ur10_fast", "--limits", "arm.yaml", "--ramp", "0").status == 0
-    said = dmframe(*rehearsed)
-    assert said.status == 0, said.err
+    reported = dmframe(*rehearsed)
+    assert reported.status == 0, reported.err
     assert dmframe(*rehearsed, "--force", "--set", "task.gamma=0.9").status == 2  # another graph
 
 
 def test_a_robot_that_is_not_there_or_not_ready_is_one_line(dmframe: Any, arm: VirtualRobot) -> None:
     arm.power_off()
-    said = dmframe(*words("arm"))
-    assert said.status == 2
-    assert "ur:arm: the robot was stopped before its first command: robot: it is not ready to move" in said.err
+    reported = dmframe(*words("arm"))
+    assert reported.status == 2
+    assert "ur:arm: the robot was stopped before its first command: robot: it is not ready to move" in reported.err
     assert not Path("log").exists() or not any(Path("log").iterdir())
 
 
 def test_an_address_without_a_robot_is_one_line(dmframe: Any) -> None:
-    said = dmframe(*words("127.0.0.77"))
-    assert said.status == 2
-    assert "127.0.0.77:30004: no robot answers: Connection refused" in said.err
+    reported = dmframe(*words("127.0.0.77"))
+    assert reported.status == 2
+    assert "127.0.0.77:30004: no robot answers: Connection refused" in reported.err

@@ -150,11 +150,11 @@ FAULTS = {
 @pytest.mark.parametrize("case", FAULTS)
 def test_a_bad_call_gives_status_2_and_states_what_is_right(case: str, dmframe: Any, tmp_path: Path) -> None:
     words, text = FAULTS[case]
-    said = dmframe(*words)
-    assert said.status == 2
-    assert said.out == ""
-    assert text in said.err
-    assert said.err.startswith("dmframe: ")
+    reported = dmframe(*words)
+    assert reported.status == 2
+    assert reported.out == ""
+    assert text in reported.err
+    assert reported.err.startswith("dmframe: ")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -162,20 +162,20 @@ def test_a_bad_call_gives_status_2_and_states_what_is_right(case: str, dmframe: 
     "words", [("nosuch",), ("run",), ("run", "pendulum", "--nosuch"), ("new",), ("check", "a", "b")]
 )
 def test_a_call_outside_the_grammar_gives_status_2_and_the_way_to_help(words: tuple[str, ...], dmframe: Any) -> None:
-    said = dmframe(*words)
-    assert said.status == 2
-    assert said.out == ""
-    assert said.err.startswith("Usage: ")
-    assert "-h" in said.err
+    reported = dmframe(*words)
+    assert reported.status == 2
+    assert reported.out == ""
+    assert reported.err.startswith("Usage: ")
+    assert "-h" in reported.err
 
 
 def test_faults_of_a_graph_come_one_a_line_with_their_place(dmframe: Any, tmp_path: Path) -> None:
     tmp_path.joinpath("bad.yaml").write_text(
         "dmframe: 1\nclock: 4 ms\nduration: 1 m\nblocks:\n  arm: {type: manipulater}\n", encoding="utf-8"
     )
-    said = dmframe("check", "bad.yaml")
-    assert said.status == 2
-    assert said.err.splitlines() == [
+    reported = dmframe("check", "bad.yaml")
+    assert reported.status == 2
+    assert reported.err.splitlines() == [
         "dmframe: bad.yaml:3:11: duration: expected a quantity in s, found '1 m': m cannot be converted to s",
         "dmframe: bad.yaml:5:15: blocks.arm.type: manipulater: unknown block type; did you mean manipulator?",
     ]
@@ -193,11 +193,11 @@ def test_a_defect_of_a_users_block_is_reported_in_one_line(dmframe: Any, tmp_pat
     tmp_path.joinpath("odd.yaml").write_text(
         'dmframe: 1\nclock: 4 ms\nduration: 1 s\nblocks:\n  odd: {type: "odd.py:Odd"}\n', encoding="utf-8"
     )
-    said = dmframe("check", "odd.yaml")
-    assert said.status == 2
-    assert said.out == ""
-    assert len(said.err.splitlines()) == 1
-    assert "ZeroDivisionError: division by zero" in said.err
+    reported = dmframe("check", "odd.yaml")
+    assert reported.status == 2
+    assert reported.out == ""
+    assert len(reported.err.splitlines()) == 1
+    assert "ZeroDivisionError: division by zero" in reported.err
 
 
 MOMENTS = {"import": "{}", "making": "def __init__(self): {}", "equations": "def equations(self, u, x, p): {}"}
@@ -216,11 +216,11 @@ def test_a_users_block_cannot_end_the_program_as_if_all_were_well(
         'dmframe: 1\nclock: 4 ms\nduration: 1 s\nblocks:\n  odd: {type: "odd.py:Odd"}\n', encoding="utf-8"
     )
     for words in (("check", "odd.yaml"), ("verify", "odd.yaml", "--report", "r.md")):
-        said = dmframe(*words)
-        assert (said.status, said.out) == (2, "")
-        assert len(said.err.splitlines()) == 1
-        assert fault.removesuffix("(0)") in said.err
-        assert "odd.py:" in said.err
+        reported = dmframe(*words)
+        assert (reported.status, reported.out) == (2, "")
+        assert len(reported.err.splitlines()) == 1
+        assert fault.removesuffix("(0)") in reported.err
+        assert "odd.py:" in reported.err
 
 
 def test_a_certificate_that_ends_the_program_proves_nothing(dmframe: Any, tmp_path: Path) -> None:
@@ -237,9 +237,9 @@ def test_a_certificate_that_ends_the_program_proves_nothing(dmframe: Any, tmp_pa
     tmp_path.joinpath("odd.yaml").write_text(
         'dmframe: 1\nclock: 4 ms\nduration: 1 s\nblocks:\n  odd: {type: "odd.py:Odd"}\n', encoding="utf-8"
     )
-    said = dmframe("verify", "odd.yaml")
-    assert said.status == 1
-    assert "odd: certificate(), odd.py:7: SystemExit: 0" in said.out
+    reported = dmframe("verify", "odd.yaml")
+    assert reported.status == 1
+    assert "odd: certificate(), odd.py:7: SystemExit: 0" in reported.out
 
 
 def test_a_file_that_cannot_be_read_is_named(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,9 +47,9 @@ def test_an_empty_value_between_commas_is_refused() -> None:
 
 
 def test_several_values_make_a_graph_each_in_a_folder_of_its_own(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("run", "pendulum", "--set", "dynamics.Gamma=1,10", *SHORT, "--out", "o")
-    assert (said.status, said.err) == (0, "")
-    assert [line.split("  ")[0] for line in said.out.splitlines()[1:3]] == ["pendulum Gamma=1", "pendulum Gamma=10"]
+    reported = dmframe("run", "pendulum", "--set", "dynamics.Gamma=1,10", *SHORT, "--out", "o")
+    assert (reported.status, reported.err) == (0, "")
+    assert [line.split("  ")[0] for line in reported.out.splitlines()[1:3]] == ["pendulum Gamma=1", "pendulum Gamma=10"]
     for gamma in (1, 10):
         data = read_file(tmp_path / "o" / f"pendulum_Gamma_{gamma}" / "graph.yaml").data
         assert data["blocks"]["dynamics"]["Gamma"] == gamma
@@ -83,15 +83,15 @@ def test_a_value_may_be_for_one_graph_of_several(tmp_path: Path, dmframe: Any) -
 
 @pytest.mark.parametrize("words", [("check",), ("analyse",), ("draw",)])
 def test_a_command_for_one_graph_refuses_several_values(dmframe: Any, words: tuple[str, ...]) -> None:
-    said = dmframe(*words, "pendulum", "--set", "dynamics.Gamma=1,2")
-    assert said.status == 2
-    assert "several values make 2 graphs, expected one" in said.err
+    reported = dmframe(*words, "pendulum", "--set", "dynamics.Gamma=1,2")
+    assert reported.status == 2
+    assert "several values make 2 graphs, expected one" in reported.err
 
 
 def test_robots_are_listed(dmframe: Any) -> None:
-    said = dmframe("robots")
-    assert said.status == 0
-    assert [line.split()[0] for line in said.out.splitlines()][:2] == ["arm2", "arm3"]
+    reported = dmframe("robots")
+    assert reported.status == 0
+    assert [line.split()[0] for line in reported.out.splitlines()][:2] == ["arm2", "arm3"]
 
 
 def test_a_new_graph_has_its_schema_next_to_it(dmframe: Any, tmp_path: Path) -> None:
@@ -118,9 +118,9 @@ def test_results_are_written_to_a_folder_with_files_only_by_force(dmframe: Any, 
     words = ("run", "pendulum", *SHORT, "--out", "o")
     assert dmframe(*words).status == 0
     (tmp_path / "o" / "notes.txt").write_text("mine")
-    said = dmframe(*words)
-    assert said.status == 2
-    assert "name another folder, or use --force" in said.err
+    reported = dmframe(*words)
+    assert reported.status == 2
+    assert "name another folder, or use --force" in reported.err
     assert dmframe(*words, "--set", "dynamics.Gamma=7", "--force").status == 0
     assert read_file(tmp_path / "o" / "graph.yaml").data["blocks"]["dynamics"]["Gamma"] == 7
     assert (tmp_path / "o" / "notes.txt").read_text() == "mine"
@@ -181,9 +181,9 @@ def test_force_leaves_no_figure_of_another_run_and_touches_no_folder_or_link_of_
     }  # fmt: skip
     (out / "signals.nc").unlink()
     (out / "signals.nc" / "deep").mkdir(parents=True)
-    said = dmframe("run", "pendulum", *SHORT, "--out", "o", "--force")
-    assert said.status == 2
-    assert "signals.nc is a folder, but a file has to be written" in said.err
+    reported = dmframe("run", "pendulum", *SHORT, "--out", "o", "--force")
+    assert reported.status == 2
+    assert "signals.nc is a folder, but a file has to be written" in reported.err
     assert (out / "signals.nc" / "deep").is_dir()
 
 
@@ -200,8 +200,8 @@ def test_force_checks_before_the_run_whether_what_it_would_replace_is_ours(
     (tmp_path / "o" / stranger).parent.mkdir(parents=True)
     (tmp_path / "o" / stranger).write_text("precious")
     monkeypatch.setattr("dmframe.graph.graph.Graph.run", lambda *_, **__: pytest.fail("it ran"))
-    said = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--out", "o", "--force")
-    assert (said.status, said.err) == (2, f"dmframe: o: {reason}\n")
+    reported = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--out", "o", "--force")
+    assert (reported.status, reported.err) == (2, f"dmframe: o: {reason}\n")
     assert (tmp_path / "o" / stranger).read_text() == "precious"
 
 

@@ -16,12 +16,12 @@ from dmframe.lessons import lesson, lessons
 
 
 def test_the_lessons_are_listed_with_number_time_title_and_question(dmframe: Any) -> None:
-    said = dmframe("learn")
-    assert said.status == 0
+    reported = dmframe("learn")
+    assert reported.status == 0
     first = lessons()[0]
-    assert said.out.splitlines()[0].split("  ") == ["0", f" {first.minutes} min", first.title]
-    assert first.question in said.out
-    assert said.out.endswith("open one: dmframe learn 0\n")
+    assert reported.out.splitlines()[0].split("  ") == ["0", f" {first.minutes} min", first.title]
+    assert first.question in reported.out
+    assert reported.out.endswith("open one: dmframe learn 0\n")
     listed = json.loads(dmframe("learn", "--json").out)
     assert [item["number"] for item in listed] == list(lessons())
     assert set(listed[0]) == {"number", "name", "title", "question", "minutes"}
@@ -30,9 +30,11 @@ def test_the_lessons_are_listed_with_number_time_title_and_question(dmframe: Any
 def test_a_lesson_is_opened_as_a_notebook_and_never_over_another_file(dmframe: Any, tmp_path: Path) -> None:
     found = lessons()[3]
     target = f"lesson_03_{found.name}.ipynb"
-    said = dmframe("learn", "3")
-    assert said.status == 0
-    assert said.out.startswith(f"wrote {target}: {found.title}, {found.minutes} minutes\nopen it: jupyter lab {target}")
+    reported = dmframe("learn", "3")
+    assert reported.status == 0
+    assert reported.out.startswith(
+        f"wrote {target}: {found.title}, {found.minutes} minutes\nopen it: jupyter lab {target}"
+    )
     assert json.loads((tmp_path / target).read_text())["metadata"]["title"] == found.title
     (tmp_path / target).write_text("mine")
     again = dmframe("learn", "3")
@@ -46,9 +48,9 @@ def test_a_lesson_is_opened_as_a_notebook_and_never_over_another_file(dmframe: A
 
 
 def test_a_lesson_is_printed_and_nothing_is_written(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("learn", "3", "--read")
-    assert said.out.startswith(f"{lessons()[3].title}\n===")
-    assert max(len(line) for line in said.out.splitlines() if not line.startswith("  ")) <= 80
+    reported = dmframe("learn", "3", "--read")
+    assert reported.out.startswith(f"{lessons()[3].title}\n===")
+    assert max(len(line) for line in reported.out.splitlines() if not line.startswith("  ")) <= 80
     assert list(tmp_path.iterdir()) == []
 
 
@@ -63,17 +65,17 @@ def test_a_lesson_is_printed_and_nothing_is_written(dmframe: Any, tmp_path: Path
     ],
 )
 def test_values_that_make_no_sense_are_refused(dmframe: Any, words: tuple[str, ...], fault: str) -> None:
-    said = dmframe(*words)
-    assert said.status == 2
-    assert said.err.startswith(f"dmframe: {fault}")
+    reported = dmframe(*words)
+    assert reported.status == 2
+    assert reported.err.startswith(f"dmframe: {fault}")
 
 
 def test_an_installation_without_a_course_reports_it(
     dmframe: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(lesson, "HOMES", (tmp_path / "none",))
-    said = dmframe("learn")
-    assert (said.status, said.err) == (
+    reported = dmframe("learn")
+    assert (reported.status, reported.err) == (
         2,
         "dmframe: learn: expected the lessons of the course, found none; reinstall dmframe\n",
     )
@@ -97,12 +99,12 @@ def test_a_terminal_reads_page_by_page_and_a_pipe_does_not(
 
 
 def test_explain_prints_sentences_or_data(dmframe: Any) -> None:
-    said = dmframe("explain", "pendulum", "--set", "inverse.w_P=3")
-    assert said.status == 0
-    text = " ".join(said.out.split())
+    reported = dmframe("explain", "pendulum", "--set", "inverse.w_P=3")
+    assert reported.status == 0
+    text = " ".join(reported.out.split())
     assert "It estimates K_P/K_D by w_P [1/s], initially 3; true value 3." in text
     assert "Verdict: proved (dmframe verify pendulum --set inverse.w_P=3)." in text
-    assert "\x1b" not in said.out
+    assert "\x1b" not in reported.out
     data = json.loads(dmframe("explain", "pendulum", "--json").out)
     assert data["order"] == ["path", "task", "model", "dynamics", "inverse", "servo", "arm"]
     assert dmframe("explain", "pendulumm").err == "dmframe: pendulumm: unknown graph; did you mean pendulum?\n"

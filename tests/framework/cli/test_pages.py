@@ -51,10 +51,10 @@ COMMANDS = (
 
 
 def test_help_lists_every_command_of_the_contract(dmframe: Any) -> None:
-    said = dmframe("-h")
-    assert said.status == 0
-    assert said.err == ""
-    assert all(f"\n  {command} " in said.out for command in COMMANDS)
+    reported = dmframe("-h")
+    assert reported.status == 0
+    assert reported.err == ""
+    assert all(f"\n  {command} " in reported.out for command in COMMANDS)
 
 
 def test_help_has_groups_and_whole_summaries(dmframe: Any) -> None:
@@ -89,9 +89,9 @@ def test_a_command_of_no_group_is_listed_with_its_first_paragraph() -> None:
     [("new", "pendulum", "a.yaml", "-o", "b.yaml"), ("export", "pendulum", "a", "-o", "b", "--c")],
 )
 def test_a_place_that_is_given_twice_is_refused(words: tuple[str, ...], dmframe: Any) -> None:
-    said = dmframe(*words)
-    assert said.status == 2
-    assert "given twice; leave one out" in said.err
+    reported = dmframe(*words)
+    assert reported.status == 2
+    assert "given twice; leave one out" in reported.err
 
 
 def test_a_place_is_an_argument_or_an_option(dmframe: Any, tmp_path: Path) -> None:
@@ -119,10 +119,10 @@ def test_each_command_alone_has_the_parameters_that_it_has_among_all() -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_command_has_help(command: str, dmframe: Any) -> None:
-    said = dmframe(command, "--help")
-    assert said.status == 0
-    assert said.out.startswith("Usage: ")
-    assert said.err == ""
+    reported = dmframe(command, "--help")
+    assert reported.status == 0
+    assert reported.out.startswith("Usage: ")
+    assert reported.err == ""
 
 
 def test_no_command_gives_help_and_status_2(dmframe: Any) -> None:
@@ -130,14 +130,14 @@ def test_no_command_gives_help_and_status_2(dmframe: Any) -> None:
 
 
 def test_the_version_is_that_of_the_distribution(dmframe: Any) -> None:
-    said = dmframe("--version")
-    assert (said.status, said.out) == (0, f"dmframe {version('dmframe')}\n")
+    reported = dmframe("--version")
+    assert (reported.status, reported.out) == (0, f"dmframe {version('dmframe')}\n")
 
 
 def test_graphs_lists_every_packaged_graph_with_its_title_its_duration_and_its_clock(dmframe: Any) -> None:
-    said = dmframe("graphs")
-    assert said.status == 0
-    lines = said.out.splitlines()
+    reported = dmframe("graphs")
+    assert reported.status == 0
+    lines = reported.out.splitlines()
     assert [line.split()[0] for line in lines] == list(graphs())
     for line, path in zip(lines, graphs().values(), strict=True):
         assert line.endswith(str(read_file(path).data["title"]))
@@ -207,14 +207,14 @@ def test_a_path_may_begin_at_home(
 
 
 def test_an_unknown_home_folder_is_reported(dmframe: Any) -> None:
-    said = dmframe("draw", "pendulum", "--out=~no_such_user/p.svg")
+    reported = dmframe("draw", "pendulum", "--out=~no_such_user/p.svg")
     expected = "~no_such_user/p.svg: unknown user; give the full path"
-    assert (said.status, said.err) == (2, f"dmframe: {expected}\n")
+    assert (reported.status, reported.err) == (2, f"dmframe: {expected}\n")
 
 
 def test_new_copies_a_graph_letter_by_letter_and_states_what_to_do(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("new", "pendulum", "mine.yaml")
-    assert (said.status, said.out) == (0, "wrote mine.yaml; try: dmframe run mine.yaml\n")
+    reported = dmframe("new", "pendulum", "mine.yaml")
+    assert (reported.status, reported.out) == (0, "wrote mine.yaml; try: dmframe run mine.yaml\n")
     first, _, rest = tmp_path.joinpath("mine.yaml").read_text().partition("\n")
     assert first == "# yaml-language-server: $schema=dmframe.schema.json"
     assert rest == graphs()["pendulum"].read_text()
@@ -227,24 +227,24 @@ def test_new_names_the_file_after_the_graph(dmframe: Any, tmp_path: Path) -> Non
 
 def test_new_never_overwrites_a_file(dmframe: Any, tmp_path: Path) -> None:
     tmp_path.joinpath("mine.yaml").write_text("precious", encoding="utf-8")
-    said = dmframe("new", "pendulum", "mine.yaml")
-    assert (said.status, said.out) == (2, "")
-    assert said.err == "dmframe: mine.yaml: exists already; choose a new file\n"
+    reported = dmframe("new", "pendulum", "mine.yaml")
+    assert (reported.status, reported.out) == (2, "")
+    assert reported.err == "dmframe: mine.yaml: exists already; choose a new file\n"
     assert tmp_path.joinpath("mine.yaml").read_text() == "precious"
 
 
 def test_new_states_where_it_cannot_write(dmframe: Any) -> None:
-    said = dmframe("new", "pendulum", "no/mine.yaml")
+    reported = dmframe("new", "pendulum", "no/mine.yaml")
     expected = "dmframe: no/mine.yaml: the folder no does not exist; create it first, or choose another\n"
-    assert (said.status, said.err) == (2, expected)
+    assert (reported.status, reported.err) == (2, expected)
 
 
 def test_check_names_each_block_wire_size_and_derived_signal(dmframe: Any) -> None:
-    said = dmframe("check", "ur10_fast")
-    assert (said.status, said.err) == (0, "")
-    assert "clock     every 8 ms, for 200 s" in said.out
-    assert "p = 36 (model)" in said.out
-    wires = {line.split()[0]: line for line in said.out.splitlines() if "<-" in line}
+    reported = dmframe("check", "ur10_fast")
+    assert (reported.status, reported.err) == (0, "")
+    assert "clock     every 8 ms, for 200 s" in reported.out
+    assert "p = 36 (model)" in reported.out
+    wires = {line.split()[0]: line for line in reported.out.splitlines() if "<-" in line}
     assert wires["servo.dq_c"].split()[2] == "inverse.dq_c"
     assert wires["model.ddq_ref"].split()[2:] == ["d/dt", "model.dq_ref", "3", "rad/s^2"]
     assert "0 (not driven)" in wires["dynamics.tau_task"]
@@ -261,9 +261,9 @@ def test_check_leaves_no_file(dmframe: Any, tmp_path: Path) -> None:
 
 
 def test_blocks_lists_every_type(dmframe: Any) -> None:
-    said = dmframe("blocks")
-    assert (said.status, said.err) == (0, "")
-    listed = {line.split()[0] for line in said.out.splitlines() if line.startswith("  ")}
+    reported = dmframe("blocks")
+    assert (reported.status, reported.err) == (0, "")
+    listed = {line.split()[0] for line in reported.out.splitlines() if line.startswith("  ")}
     assert listed == set(block_types())
 
 
@@ -282,14 +282,14 @@ def page_of(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]
 
 @pytest.mark.parametrize("kind", block_types())
 def test_a_blocks_page_has_its_ports_states_and_parameters(kind: str, page_of: Callable[..., Any]) -> None:
-    said = page_of(kind)
+    reported = page_of(kind)
     block = block_types()[kind]
-    assert (said.status, said.err) == (0, "")
+    assert (reported.status, reported.err) == (0, "")
     named = [*block.inputs, *block.outputs, *block.states]
-    assert all(f"\n  {item.name} " in said.out for item in named)
-    assert all(f"\n  {name} " in said.out for name in block.model_fields)
-    assert ":math:" not in said.out
-    assert "]_" not in said.out
+    assert all(f"\n  {item.name} " in reported.out for item in named)
+    assert all(f"\n  {name} " in reported.out for name in block.model_fields)
+    assert ":math:" not in reported.out
+    assert "]_" not in reported.out
 
 
 @pytest.mark.parametrize("kind", block_types())
@@ -354,11 +354,11 @@ def test_a_users_own_block_has_a_page(dmframe: Any, tmp_path: Path) -> None:
 
 
 def test_draw_prints_mermaid_and_writes_svg(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("draw", "pendulum")
-    assert (said.status, said.err) == (0, "")
-    assert "flowchart" in said.out
-    said = dmframe("draw", "pendulum", "-o", "p.svg")
-    assert (said.status, said.out) == (0, "wrote p.svg\n")
+    reported = dmframe("draw", "pendulum")
+    assert (reported.status, reported.err) == (0, "")
+    assert "flowchart" in reported.out
+    reported = dmframe("draw", "pendulum", "-o", "p.svg")
+    assert (reported.status, reported.out) == (0, "wrote p.svg\n")
     texts = "".join(ElementTree.parse(tmp_path / "p.svg").getroot().itertext())
     assert all(name in texts for name in ("path", "task", "model", "dynamics", "inverse", "servo", "arm"))
     assert dmframe("draw", "pendulum", "-o", "p.mmd").status == 0
@@ -419,11 +419,11 @@ def test_the_schema_accepts_a_robot_by_name_or_in_full_and_a_users_block(
 
 
 def test_the_regressor_names_its_parameters_and_agrees_with_pinocchio(dmframe: Any) -> None:
-    said = dmframe("regressor", "arm2", "--friction", "viscous")
-    assert (said.status, said.err) == (0, "")
-    assert said.out.startswith("arm2: 22 parameters: m_1, mc_x1,")
-    assert "B_1, B_2\n" in said.out
-    differences = said.out.split("Pinocchio: ")[1].replace(",", "").split()
+    reported = dmframe("regressor", "arm2", "--friction", "viscous")
+    assert (reported.status, reported.err) == (0, "")
+    assert reported.out.startswith("arm2: 22 parameters: m_1, mc_x1,")
+    assert "B_1, B_2\n" in reported.out
+    differences = reported.out.split("Pinocchio: ")[1].replace(",", "").split()
     assert float(differences[1]) < 1e-10
     assert float(differences[3]) < 1e-10
 
@@ -435,16 +435,16 @@ UR10 = ("--free", "shoulder_pan_joint,shoulder_lift_joint,elbow_joint", "--hold"
 def test_the_ur10_with_three_joints_has_the_known_number_of_base_parameters(
     friction: str, count: int, dmframe: Any
 ) -> None:
-    said = dmframe("regressor", "ur10", "--base", *UR10, "--friction", friction)
-    assert said.out.startswith(f"ur10: {count} base parameters of ")
+    reported = dmframe("regressor", "ur10", "--base", *UR10, "--friction", friction)
+    assert reported.out.startswith(f"ur10: {count} base parameters of ")
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 def test_the_regressors_c_compiles_without_a_warning_and_computes_pinocchios_torque(
     dmframe: Any, tmp_path: Path
 ) -> None:
-    said = dmframe("regressor", "arm2", "--c", "y.c")
-    assert (said.status, said.out.splitlines()[-1]) == (0, "wrote y.c")
+    reported = dmframe("regressor", "arm2", "--c", "y.c")
+    assert (reported.status, reported.out.splitlines()[-1]) == (0, "wrote y.c")
     subprocess.run(
         ["gcc", "-std=c99", "-Wall", "-Werror", "-O1", "-fPIC", "-shared", "y.c", "-o", "y.so", "-lm"],
         cwd=tmp_path,

@@ -67,13 +67,13 @@ def test_the_installed_script_is_the_same_command(tmp_path: Path) -> None:
 
 
 def test_the_package_run_as_a_module_is_the_same_command(tmp_path: Path) -> None:
-    def said(*words: str) -> tuple[int, str, str]:
+    def reported(*words: str) -> tuple[int, str, str]:
         command = [sys.executable, "-m", "dmframe", *words]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         return done.returncode, done.stdout, done.stderr
 
-    assert said("--version") == (0, f"dmframe {dmframe.__version__}\n", "")
-    status, out, err = said("check", "nosuch")
+    assert reported("--version") == (0, f"dmframe {dmframe.__version__}\n", "")
+    status, out, err = reported("check", "nosuch")
     assert (status, out) == (2, "")
     assert err.startswith("dmframe: nosuch: ")
 

@@ -29,11 +29,11 @@ blocks:
 
 def test_a_run_reports_it_and_a_proof_does_not_cover_it(dmframe: Dmframe) -> None:
     Path("plain.yaml").write_text(TEXT, encoding="utf-8")
-    said = dmframe("run", "plain.yaml", "--reality", "none,ur", "--no-plots", "--out", "out")
-    assert said.status == 0
+    reported = dmframe("run", "plain.yaml", "--reality", "none,ur", "--no-plots", "--out", "out")
+    assert reported.status == 0
     ideal, real = "plain reality=none: notice: ", "plain reality=ur: notice: "
-    assert f"{real}not ideal: command.dq_c through transport_delay, command_limits and command_ramp; " in said.out
-    assert ideal not in said.out
+    assert f"{real}not ideal: command.dq_c through transport_delay, command_limits and command_ramp; " in reported.out
+    assert ideal not in reported.out
     saved = Path("out/plain_reality_ur/graph.yaml").read_text(encoding="utf-8")
     assert "encoder: {type: encoder, step: 4.794e-05, window: 0.008" in saved
     again = dmframe("run", "out/plain_reality_ur/graph.yaml", "--no-plots", "--out", "again")
@@ -45,6 +45,6 @@ def test_a_run_reports_it_and_a_proof_does_not_cover_it(dmframe: Dmframe) -> Non
 
 
 def test_an_unknown_set_is_refused(dmframe: Dmframe) -> None:
-    said = dmframe("run", "ur10_slow", "--reality", "abb")
-    assert said.status == 2
-    assert said.err == "dmframe: --set reality=abb: reality abb: unknown set; choose from none, ur\n"
+    reported = dmframe("run", "ur10_slow", "--reality", "abb")
+    assert reported.status == 2
+    assert reported.err == "dmframe: --set reality=abb: reality abb: unknown set; choose from none, ur\n"

@@ -39,9 +39,9 @@ def names_of(figure: object, name: str, about: str, formats: Sequence[str]) -> d
 
 @pytest.mark.usefixtures("without_v")
 def test_a_run_prints_a_table_and_writes_a_folder(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
-    assert (said.status, said.err) == (0, "")
-    lines = said.out.splitlines()
+    reported = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert (reported.status, reported.err) == (0, "")
+    lines = reported.out.splitlines()
     assert lines[0].split()[:3] == ["graph", "clock", "error"]
     assert lines[1].startswith("arm2_joint")
     assert lines[-1] == "results: mine"
@@ -56,9 +56,9 @@ def test_results_go_to_a_folder_of_their_own_below_runs(dmframe: Any, tmp_path: 
 
 
 def test_json_is_one_object_with_the_keys_of_the_contract_and_nothing_else(dmframe: Any) -> None:
-    said = dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "mine")
-    assert (said.status, said.err) == (0, "")
-    data = strict(said.out)
+    reported = dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "mine")
+    assert (reported.status, reported.err) == (0, "")
+    data = strict(reported.out)
     assert set(data) == CONTRACT | EXTRAS
     assert set(data["error"]) == {"signal", "unit", "rms_by_eighth", "rms_final"}
     assert len(data["error"]["rms_by_eighth"]) == 8
@@ -77,8 +77,8 @@ def test_json_states_continuous_for_a_continuous_clock(dmframe: Any) -> None:
 
 @pytest.mark.usefixtures("without_v")
 def test_json_of_several_graphs_is_a_list_in_their_order(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--json", "--out", "two")
-    assert [data["graph"] for data in strict(said.out)] == ["pendulum", "arm2_joint"]
+    reported = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--json", "--out", "two")
+    assert [data["graph"] for data in strict(reported.out)] == ["pendulum", "arm2_joint"]
     assert {path.name for path in tmp_path.joinpath("two").iterdir()} == {"pendulum", "arm2_joint", "seal.json"}
     assert {path.name for path in tmp_path.joinpath("two", "pendulum").iterdir()} == FILES - {
         "seal.json"
@@ -86,8 +86,8 @@ def test_json_of_several_graphs_is_a_list_in_their_order(dmframe: Any, tmp_path:
 
 
 def test_json_is_what_the_folder_holds(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "mine")
-    assert strict(said.out) == strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
+    reported = dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "mine")
+    assert strict(reported.out) == strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
 
 
 @pytest.mark.usefixtures("without_v")
@@ -141,10 +141,10 @@ def test_figures_are_drawn_by_default(dmframe: Any, tmp_path: Path, monkeypatch:
 
 
 def test_a_loop_that_is_unstable_on_its_clock_has_its_notice_in_print_and_in_the_summary(dmframe: Any) -> None:
-    said = dmframe("run", "ur10_slow", "--until", "12", "--no-plots", "--engine", "interpreted", "--out", "mine")
+    reported = dmframe("run", "ur10_slow", "--until", "12", "--no-plots", "--engine", "interpreted", "--out", "mine")
     data = strict(Path("mine", "summary.json").read_text(encoding="utf-8"))
     assert data["storage"]["start"] > 0
-    assert [text in said.out for text in data["notices"]] == [True] * len(data["notices"])
+    assert [text in reported.out for text in data["notices"]] == [True] * len(data["notices"])
     assert "unstable near its set-point on a clock of 90 ms" in " ".join(data["notices"])
 
 
@@ -162,9 +162,9 @@ def test_the_numbers_are_printed_before_v_is_computed(dmframe: Any, monkeypatch:
 
 
 def test_a_format_that_there_is_not_is_refused_before_the_run(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("run", "pendulum", "--until", "0.5", "--figures", "svg,jpg", "--out", "mine")
-    assert said.status == 2
-    assert "--figures: unknown format of figures" in said.err
+    reported = dmframe("run", "pendulum", "--until", "0.5", "--figures", "svg,jpg", "--out", "mine")
+    assert reported.status == 2
+    assert "--figures: unknown format of figures" in reported.err
     assert not tmp_path.joinpath("mine").exists()
 
 
@@ -172,9 +172,9 @@ def test_a_format_that_there_is_not_is_refused_before_the_run(dmframe: Any, tmp_
 def test_a_folder_with_files_is_refused_before_the_run(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("run", "arm2_joint", *SHORT, "--out", "mine").status == 0
     before = {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()}
-    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
-    assert (said.status, said.out) == (2, "")
-    assert said.err == (
+    reported = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert (reported.status, reported.out) == (2, "")
+    assert reported.err == (
         "dmframe: mine: expected an empty or a new folder, found one with files; name another folder, or use --force\n"
     )
     assert {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()} == before
@@ -182,14 +182,17 @@ def test_a_folder_with_files_is_refused_before_the_run(dmframe: Any, tmp_path: P
 
 def test_a_file_is_refused_as_a_folder(dmframe: Any, tmp_path: Path) -> None:
     tmp_path.joinpath("mine").write_text("", encoding="utf-8")
-    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
-    assert (said.status, said.err) == (2, "dmframe: mine: expected a folder, found a file; name another folder\n")
+    reported = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert (reported.status, reported.err) == (
+        2,
+        "dmframe: mine: expected a folder, found a file; name another folder\n",
+    )
 
 
 def test_a_folder_that_cannot_be_written_is_reported_before_the_run(dmframe: Any) -> None:
-    said = dmframe("run", "arm2_joint", *SHORT, "--out", "/proc/mine")
-    assert (said.status, said.out) == (2, "")
-    assert said.err == (
+    reported = dmframe("run", "arm2_joint", *SHORT, "--out", "/proc/mine")
+    assert (reported.status, reported.out) == (2, "")
+    assert reported.err == (
         "dmframe: /proc/mine: the results cannot be written: no such file or directory; choose another folder\n"
     )
 
@@ -198,31 +201,31 @@ def test_a_folder_without_the_right_to_write_is_reported(dmframe: Any, tmp_path:
     if os.geteuid() == 0:
         pytest.skip("root may write everywhere")
     tmp_path.joinpath("closed").mkdir(mode=0o500)
-    said = dmframe("run", "arm2_joint", *SHORT, "--out", "closed/mine")
-    assert said.status == 2
-    assert "closed/mine: the results cannot be written: permission denied" in said.err
+    reported = dmframe("run", "arm2_joint", *SHORT, "--out", "closed/mine")
+    assert reported.status == 2
+    assert "closed/mine: the results cannot be written: permission denied" in reported.err
 
 
 def test_a_fault_in_one_of_two_graphs_stops_both(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("run", "arm2_joint", "pendulm", *SHORT, "--out", "mine")
-    assert (said.status, said.out) == (2, "")
+    reported = dmframe("run", "arm2_joint", "pendulm", *SHORT, "--out", "mine")
+    assert (reported.status, reported.out) == (2, "")
     assert not tmp_path.joinpath("mine").exists()
 
 
 def test_a_graph_that_has_no_page_is_reported_before_the_first_run(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe("run", "arm2_joint", *SHORT, "--page", "--set", "jitter=0.1 ms", "--out", "mine")
-    assert said.status == 2
-    assert said.err.startswith("dmframe: page: expected a deterministic loop")
-    assert said.out == ""
+    reported = dmframe("run", "arm2_joint", *SHORT, "--page", "--set", "jitter=0.1 ms", "--out", "mine")
+    assert reported.status == 2
+    assert reported.err.startswith("dmframe: page: expected a deterministic loop")
+    assert reported.out == ""
     assert not tmp_path.joinpath("mine").exists()
 
 
 def test_a_page_with_a_default_name_replaces_only_an_older_page(dmframe: Any, tmp_path: Path) -> None:
     page = tmp_path / "pendulum.html"
     page.write_text("mine", "utf-8")
-    said = dmframe("page", "pendulum")
-    assert (said.status, page.read_text("utf-8")) == (2, "mine")
-    assert "pendulum.html: expected no file or an older live page, found another file" in said.err
+    reported = dmframe("page", "pendulum")
+    assert (reported.status, page.read_text("utf-8")) == (2, "mine")
+    assert "pendulum.html: expected no file or an older live page, found another file" in reported.err
     page.unlink()
     for _ in range(2):
         assert dmframe("page", "pendulum").out == "wrote pendulum.html\n"
@@ -232,9 +235,9 @@ def test_a_page_with_a_default_name_replaces_only_an_older_page(dmframe: Any, tm
 
 @pytest.mark.usefixtures("without_v")
 def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed(dmframe: Any, tmp_path: Path) -> None:
-    said = dmframe(*UNSTABLE, "--out", "mine")
-    assert (said.status, said.err) == (1, "")
-    (line,) = (line for line in said.out.splitlines() if "diverged" in line)
+    reported = dmframe(*UNSTABLE, "--out", "mine")
+    assert (reported.status, reported.err) == (1, "")
+    (line,) = (line for line in reported.out.splitlines() if "diverged" in line)
     data = strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
     assert line == f"arm2_joint: diverged: {data['divergence']}"
     block, rest = data["divergence"].split(".", 1)
@@ -254,9 +257,9 @@ def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed
 
 @pytest.mark.usefixtures("without_v")
 def test_divergence_is_valid_json_with_null_where_the_run_never_came(dmframe: Any) -> None:
-    said = dmframe(*UNSTABLE, "--json")
-    assert said.status == 1
-    data = strict(said.out)
+    reported = dmframe(*UNSTABLE, "--json")
+    assert reported.status == 1
+    data = strict(reported.out)
     assert data["diverged"] is True
     assert data["error"]["rms_final"] is None
 
@@ -268,16 +271,16 @@ def test_one_diverged_graph_of_two_gives_status_1_and_both_results(dmframe: Any,
     good.write_text(tmp_path.joinpath("one", "graph.yaml").read_text(encoding="utf-8"), encoding="utf-8")
     bad = tmp_path / "bad.yaml"
     bad.write_text(good.read_text(encoding="utf-8").replace("Gamma: 100.0", "Gamma: 1.0e+300"), encoding="utf-8")
-    said = dmframe("run", "bad.yaml", "good.yaml", "--no-plots", "--json")
-    assert said.status == 1
-    assert [data["diverged"] for data in strict(said.out)] == [True, False]
+    reported = dmframe("run", "bad.yaml", "good.yaml", "--no-plots", "--json")
+    assert reported.status == 1
+    assert [data["diverged"] for data in strict(reported.out)] == [True, False]
 
 
 @pytest.mark.usefixtures("without_v")
 def test_a_stiff_plant_is_noticed(dmframe: Any) -> None:
-    said = dmframe("run", "ur10_fast_kinematic", *SHORT, "--set", "solver.step=2 ms")
-    assert said.status == 0
-    assert "ur10_fast_kinematic: notice: the plant is stiff" in said.out
+    reported = dmframe("run", "ur10_fast_kinematic", *SHORT, "--set", "solver.step=2 ms")
+    assert reported.status == 0
+    assert "ur10_fast_kinematic: notice: the plant is stiff" in reported.out
 
 
 @pytest.mark.usefixtures("without_v")
@@ -290,9 +293,9 @@ def test_sundials_can_be_chosen(dmframe: Any) -> None:
 @pytest.mark.usefixtures("without_v")
 def test_a_name_is_never_taken_for_markup(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("new", "arm2_joint", "[red]x.yaml").status == 0
-    said = dmframe("run", "[red]x.yaml", *SHORT)
-    assert said.status == 0
-    assert said.out.splitlines()[1].startswith("[red]x ")
+    reported = dmframe("run", "[red]x.yaml", *SHORT)
+    assert reported.status == 0
+    assert reported.out.splitlines()[1].startswith("[red]x ")
     (folder,) = tmp_path.joinpath("runs").iterdir()
     assert folder.name.endswith("_red_x")
 
@@ -301,9 +304,9 @@ def test_a_name_is_never_taken_for_markup(dmframe: Any, tmp_path: Path) -> None:
 def test_a_message_is_never_taken_for_markup(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     notice = "ld: [/usr/lib/crt1.o]: [bold]undefined[/bold] :smile:"
     monkeypatch.setattr("dmframe.simulate.engine._compiled", lambda step: (None, notice))
-    said = dmframe("run", "arm2_joint", *SHORT, "--engine", "compiled")
-    assert said.status == 0
-    assert f"arm2_joint: notice: {notice}\n" in said.out
+    reported = dmframe("run", "arm2_joint", *SHORT, "--engine", "compiled")
+    assert reported.status == 0
+    assert f"arm2_joint: notice: {notice}\n" in reported.out
 
 
 @pytest.mark.usefixtures("without_v")
@@ -312,10 +315,10 @@ def test_a_full_disk_at_the_end_leaves_the_numbers(dmframe: Any, monkeypatch: py
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("dmframe.results.folder.netcdf", full)
-    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
-    assert said.status == 2
-    assert said.out.splitlines()[1].startswith("arm2_joint")
-    assert said.err.startswith("dmframe: mine: the results cannot be written: no space left on device; free some")
+    reported = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert reported.status == 2
+    assert reported.out.splitlines()[1].startswith("arm2_joint")
+    assert reported.err.startswith("dmframe: mine: the results cannot be written: no space left on device; free some")
 
 
 @pytest.mark.usefixtures("without_v")
@@ -350,5 +353,8 @@ def test_graphs_of_any_name_are_next_to_their_figures(
 
 
 def test_an_unknown_engine_is_refused_without_a_place_in_the_graph(dmframe: Any) -> None:
-    said = dmframe("run", "pendulum", *SHORT, "--engine", "fast")
-    assert (said.status, said.err) == (2, "dmframe: engine: expected auto, compiled, interpreted, found 'fast'\n")
+    reported = dmframe("run", "pendulum", *SHORT, "--engine", "fast")
+    assert (reported.status, reported.err) == (
+        2,
+        "dmframe: engine: expected auto, compiled, interpreted, found 'fast'\n",
+    )

@@ -31,30 +31,30 @@ def strict(text: str) -> Any:
 
 
 def test_a_proved_graph_gives_status_0_and_the_assumptions(dmframe: Any) -> None:
-    said = dmframe("verify", "arm2_joint")
-    assert (said.status, said.err) == (0, "")
-    assert said.out.startswith("arm2_joint: proved\n")
-    assert "  assumptions\n" in said.out
-    assert "time is continuous" in said.out
+    reported = dmframe("verify", "arm2_joint")
+    assert (reported.status, reported.err) == (0, "")
+    assert reported.out.startswith("arm2_joint: proved\n")
+    assert "  assumptions\n" in reported.out
+    assert "time is continuous" in reported.out
 
 
 def test_a_graph_with_a_block_without_a_certificate_gives_status_1_and_the_reason(dmframe: Any) -> None:
-    said = dmframe("verify", "ur10_fast_kinematic")
-    assert (said.status, said.err) == (1, "")
-    assert said.out == "ur10_fast_kinematic: not applicable\n  inverse: a kinematic_command has no certificate\n"
+    reported = dmframe("verify", "ur10_fast_kinematic")
+    assert (reported.status, reported.err) == (1, "")
+    assert reported.out == "ur10_fast_kinematic: not applicable\n  inverse: a kinematic_command has no certificate\n"
 
 
 def test_a_condition_that_fails_gives_status_1_and_is_marked(dmframe: Any) -> None:
-    said = dmframe("verify", "pendulum", "--set", "servo.K_I=2000")
-    assert said.status == 1
-    assert "not applicable" in said.out.splitlines()[0]
-    assert any("M̄" in line and line.endswith("FAILS") for line in said.out.splitlines())
+    reported = dmframe("verify", "pendulum", "--set", "servo.K_I=2000")
+    assert reported.status == 1
+    assert "not applicable" in reported.out.splitlines()[0]
+    assert any("M̄" in line and line.endswith("FAILS") for line in reported.out.splitlines())
 
 
 def test_verify_json_has_the_keys_of_the_contract(dmframe: Any) -> None:
-    said = dmframe("verify", "arm2_joint", "--json")
-    assert (said.status, said.err) == (0, "")
-    data = strict(said.out)
+    reported = dmframe("verify", "arm2_joint", "--json")
+    assert (reported.status, reported.err) == (0, "")
+    data = strict(reported.out)
     assert set(data) >= CONTRACT
     assert (data["graph"], data["verdict"], data["residual_zero"]) == ("arm2_joint", "proved", True)
     assert data["mutants"]["tried"] == data["mutants"]["refuted"] > 0
@@ -64,17 +64,17 @@ def test_verify_json_has_the_keys_of_the_contract(dmframe: Any) -> None:
 
 
 def test_verify_json_is_valid_where_nothing_was_proved(dmframe: Any) -> None:
-    said = dmframe("verify", "ur10_fast_kinematic", "--json")
-    assert said.status == 1
-    data = strict(said.out)
+    reported = dmframe("verify", "ur10_fast_kinematic", "--json")
+    assert reported.status == 1
+    data = strict(reported.out)
     assert set(data) >= CONTRACT
     assert data["verdict"] == "not_applicable"
 
 
 def test_verify_of_several_graphs_is_a_list_and_one_failure_decides_the_status(dmframe: Any) -> None:
-    said = dmframe("verify", "pendulum", "ur10_fast_kinematic", "--json")
-    assert said.status == 1
-    assert [data["verdict"] for data in strict(said.out)] == ["proved", "not_applicable"]
+    reported = dmframe("verify", "pendulum", "ur10_fast_kinematic", "--json")
+    assert reported.status == 1
+    assert [data["verdict"] for data in strict(reported.out)] == ["proved", "not_applicable"]
 
 
 def test_the_seed_changes_the_primes_and_nothing_else(dmframe: Any) -> None:
@@ -85,6 +85,6 @@ def test_the_seed_changes_the_primes_and_nothing_else(dmframe: Any) -> None:
 
 @pytest.mark.parametrize("words", [("verify", "pendulm"), ("verify",), ("verify", "pendulum", "--seed", "x")])
 def test_bad_calls_of_verify_give_status_2(words: tuple[str, ...], dmframe: Any) -> None:
-    said = dmframe(*words)
-    assert (said.status, said.out) == (2, "")
-    assert said.err
+    reported = dmframe(*words)
+    assert (reported.status, reported.out) == (2, "")
+    assert reported.err

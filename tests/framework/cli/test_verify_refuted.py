@@ -16,7 +16,7 @@ from dmframe_blocks.dynamic_compensator import DynamicCompensator
 
 
 class Liar(DynamicCompensator):
-    """Adapts, and says that it stores twice as much as it does."""
+    """Adapts, and claims to store twice as much as it does."""
 
     def certificate(self, u, x, p, truth):
         honest = super().certificate(u, x, p, truth)
@@ -34,9 +34,9 @@ def liar(tmp_path: Path) -> str:
 
 
 def test_a_refuted_graph_gives_status_1_and_names_the_block(dmframe: Any, liar: str) -> None:
-    said = dmframe("verify", liar)
-    assert (said.status, said.err) == (1, "")
-    lines = said.out.splitlines()
+    reported = dmframe("verify", liar)
+    assert (reported.status, reported.err) == (1, "")
+    lines = reported.out.splitlines()
     assert lines[0] == "lie: refuted"
     assert any("to blame: dynamics" in line for line in lines)
     assert any(line.startswith("  smallest set of non-zero signals: ") for line in lines)
@@ -55,9 +55,9 @@ def test_json_of_a_refutation_holds_every_symbol_of_the_point(dmframe: Any, liar
 
 
 def test_one_refuted_graph_among_several_gives_status_1(dmframe: Any, liar: str) -> None:
-    said = dmframe("verify", "pendulum", liar, "--json")
-    assert said.status == 1
-    assert [data["verdict"] for data in json.loads(said.out)] == ["proved", "refuted"]
+    reported = dmframe("verify", "pendulum", liar, "--json")
+    assert reported.status == 1
+    assert [data["verdict"] for data in json.loads(reported.out)] == ["proved", "refuted"]
 
 
 def test_the_same_seed_gives_the_same_primes_and_the_same_point(dmframe: Any, liar: str) -> None:

@@ -28,10 +28,10 @@ def every(found: Guide) -> list[dict[str, str]]:
 
 
 def test_a_stiff_servo_with_feed_forward_needs_no_adaptation(dmframe: Any) -> None:
-    said = dmframe("which", *STIFF)
-    assert said.status == 0
-    assert said.out.startswith("take ur10_fast_inverse_tuned, a law without adaptation\n  no adaptation is needed")
-    assert "dmframe new ur10_fast_inverse_tuned mine.yaml" in said.out
+    reported = dmframe("which", *STIFF)
+    assert reported.status == 0
+    assert reported.out.startswith("take ur10_fast_inverse_tuned, a law without adaptation\n  no adaptation is needed")
+    assert "dmframe new ur10_fast_inverse_tuned mine.yaml" in reported.out
 
 
 def test_json_holds_the_answers_the_graph_and_its_errors_in_mm(dmframe: Any, found: Guide) -> None:
@@ -54,9 +54,9 @@ def test_a_period_other_than_the_graphs_is_set(dmframe: Any) -> None:
 
 
 def test_without_a_terminal_missing_answers_are_listed(dmframe: Any) -> None:
-    said = dmframe("which", *STIFF[:4])
-    assert said.status == 2
-    assert "no terminal to ask; give --path, --load, --known, for example: dmframe which --servo stiff" in said.err
+    reported = dmframe("which", *STIFF[:4])
+    assert reported.status == 2
+    assert "no terminal to ask; give --path, --load, --known, for example: dmframe which --servo stiff" in reported.err
 
 
 @pytest.mark.parametrize(
@@ -68,9 +68,9 @@ def test_without_a_terminal_missing_answers_are_listed(dmframe: Any) -> None:
     ],
 )
 def test_a_wrong_answer_is_refused(dmframe: Any, words: tuple[str, str], text: str) -> None:
-    said = dmframe("which", *STIFF, *words)
-    assert said.status == 2
-    assert text in said.err
+    reported = dmframe("which", *STIFF, *words)
+    assert reported.status == 2
+    assert text in reported.err
 
 
 def test_on_a_terminal_it_prompts_for_what_no_option_answers(
@@ -84,9 +84,9 @@ def test_on_a_terminal_it_prompts_for_what_no_option_answers(
     monkeypatch.setattr(sys, "stdin", Terminal("2\n9\n\ndelay\n"))
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     command.which(servo="soft", period="90 ms", known=None, path=None, load=None, as_json=True)
-    said = capsys.readouterr()
-    assert "--load 9: unknown answer" in said.err
-    answers = json.loads(said.out)["answers"]
+    reported = capsys.readouterr()
+    assert "--load 9: unknown answer" in reported.err
+    answers = json.loads(reported.out)["answers"]
     assert (answers["path"], answers["load"], answers["known"]) == ("varies", "constant", "delay")
 
 

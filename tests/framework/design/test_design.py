@@ -18,7 +18,7 @@ from dmframe.design import design as module
 from dmframe.design.checks import rehearsed
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, Ranking, worth
-from dmframe.design.designed import Designed
+from dmframe.design.designed import Check, Designed
 from dmframe.design.family import HELD_OUT, TRAINING, makers
 from dmframe.design.handover import set_aside
 from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of, tool_motion
@@ -177,6 +177,27 @@ def test_both_kinds_of_laws_have_the_same_number_of_tried_values(monkeypatch: py
         assert [item.law for item in found] == [law] * 3
         assert [dict(item.values) for item in found[1:]] == [{"x": 1.0}, {"x": 3.0}]
         assert {item.adaptive for item in found} == {adaptive}
+
+
+def test_the_reason_against_the_best_adaptive_law_is_that_of_its_best_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    best, other = candidate("a", [0.5], adaptive=True), candidate("b", [4.0], adaptive=True)
+    simple = candidate("s", [1.0])
+    both = {True: [best, candidate("a", [0.6], adaptive=True), other], False: [simple]}
+    contest = SimpleNamespace(
+        ranking=Ranking([best, other, simple], "mrad"), candidates=lambda adaptive: iter(both[adaptive])
+    )
+    passed = {"a": False, "b": False, "s": True}
+    monkeypatch.setattr(module, "_graph_of", lambda race, item, *_: item)
+    monkeypatch.setattr(
+        module, "checks_of", lambda graph, item, *_: [Check("c", f"fails {item.error:g}", passed[item.law])]
+    )
+    monkeypatch.setattr(module, "handed_over", lambda graph, found, *_: found)
+    start = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    found = module._chosen(contest, None, None, None, start, Progress(lambda text: None))  # type: ignore[arg-type]
+    assert found.outcome == "simple"
+    assert "a has a smaller error, but fails 0.5; the error of b is 4 of that of s" in found.reason
 
 
 def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path: Path) -> None:

@@ -100,9 +100,9 @@ class OddCart(Cart):
     reads: bool = False
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        said = super().equations(u, x, p)
-        rates = {**said.rates, **({"way": x.v} if self.counts else {})}
-        return Equations({**said.outputs, "secret": x.way if self.reads else x.y}, rates)
+        reported = super().equations(u, x, p)
+        rates = {**reported.rates, **({"way": x.v} if self.counts else {})}
+        return Equations({**reported.outputs, "secret": x.way if self.reads else x.y}, rates)
 
 
 class BlindCart(Cart):
@@ -111,8 +111,8 @@ class BlindCart(Cart):
     outputs = (Output("y", "", "m", Access.MEASURED), Output("v", "", "m/s", derivative_of="y"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        said = super().equations(u, x, p)
-        return Equations({key: said.outputs[key] for key in ("y", "v")}, said.rates)
+        reported = super().equations(u, x, p)
+        return Equations({key: reported.outputs[key] for key in ("y", "v")}, reported.rates)
 
 
 class Lag(AbstractBlock):

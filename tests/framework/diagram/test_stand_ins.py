@@ -118,8 +118,8 @@ def test_each_replaces_the_signal_that_drives_it_not_all_of_that_name() -> None:
 
 def test_a_diagram_states_the_direction_of_signals() -> None:
     diagram = Diagram.build({"law": Law(), "cart": Cart(), "b": Sensor(), "a": Sensor(), "line": Line()})
-    said = {f"{way.origin.block}.{way.origin.port}": [wire.block for wire in way.through] for way in diagram.ways}
-    assert said == {"cart.y": ["b", "a"], "law.v": ["line"]}
+    reported = {f"{way.origin.block}.{way.origin.port}": [wire.block for wire in way.through] for way in diagram.ways}
+    assert reported == {"cart.y": ["b", "a"], "law.v": ["line"]}
     assert [way.readers for way in diagram.ways] == [(("law", "y"),), (("cart", "v"),)]
 
 

@@ -89,16 +89,18 @@ def test_a_drive_keeps_its_record(
         return read(self)
 
     monkeypatch.setattr(SimulatedRobot, "read", acting)
-    status, said = drive(dmframe)
+    status, reported = drive(dmframe)
     monkeypatch.undo()
     if what == "replaced":
         assert status == 2
-        assert "in/log: expected the folder that was reserved, found another one with files. The data are in " in said
+        assert (
+            "in/log: expected the folder that was reserved, found another one with files. The data are in " in reported
+        )
         (results,) = (tmp_path / "spare").glob("dmframe-results-*")
         assert sorted(item.name for item in log.iterdir()) == ["mine.txt", "samples.bin"]
     else:
         assert status == 0
-        assert "samples.bin: was moved or deleted during the drive; the record was written again" in said
+        assert "samples.bin: was moved or deleted during the drive; the record was written again" in reported
         results = log
         assert not (log / "samples.bin").exists()
     found = GRAPH.replay(results)
@@ -121,14 +123,14 @@ def test_a_run_keeps_its_results(
         return found
 
     monkeypatch.setattr(cli_run, "_run_all", acting)
-    status, said = dmframe(
+    status, reported = dmframe(
         "run", "arm2_joint", "--until", "0.04", "--engine", "interpreted", "--out", "in/log", "--json"
     )
     monkeypatch.undo()
     assert status == (2 if what == "replaced" else 0)
     results = log
     if what == "replaced":
-        assert "expected the folder that was reserved, found another one with files. The data are in " in said
+        assert "expected the folder that was reserved, found another one with files. The data are in " in reported
         (results,) = (tmp_path / "spare").iterdir()
         assert [item.name for item in log.iterdir()] == ["mine.txt"]
     assert {"signals.nc", "summary.json", "graph.yaml", "seal.json"} <= {item.name for item in results.iterdir()}
@@ -147,16 +149,16 @@ def test_results_that_a_disk_does_not_take_are_on_another(
         synced(folder)
 
     monkeypatch.setattr(places, "sync_below", full)
-    status, said = drive(dmframe)
+    status, reported = drive(dmframe)
     assert status == 2
-    assert "in/log: the results cannot be written: no space left on device; free some space" in said
+    assert "in/log: the results cannot be written: no space left on device; free some space" in reported
     if again:
-        assert "The data are in" not in said
+        assert "The data are in" not in reported
         assert list((tmp_path / "spare").iterdir()) == []
         results = tmp_path / "in" / "log"  # the samples are there
     else:
         (results,) = (tmp_path / "spare").iterdir()
-        assert f"The data are in {results}, without figures" in said
+        assert f"The data are in {results}, without figures" in reported
     monkeypatch.undo()
     assert len(GRAPH.replay(results).time) == SAMPLES
 

@@ -99,11 +99,11 @@ def exceeds(polynomial: Any, degree: int, height: int) -> bool:
     return bool(terms.total_degree() > degree or log2(sum(abs(int(c)) for c in terms.coeffs())) > height + 1e-9)
 
 
-def held(true: Sequence[Any], said: Sequence[Any]) -> int:
+def held(true: Sequence[Any], reported: Sequence[Any]) -> int:
     """Number of comparisons; each bound has to hold."""
     import sympy
 
-    pairs = [(one, other) for one, other in zip(true, said, strict=True) if isinstance(other, Size)]
+    pairs = [(one, other) for one, other in zip(true, reported, strict=True) if isinstance(other, Size)]
     for one, size in pairs:
         numerator, denominator = _parts(one)
         assert not exceeds(sympy.sympify(numerator), size.degree, size.height)
@@ -146,13 +146,13 @@ def test_programs_and_their_derivatives_are_no_larger_than_it_states(seed: int) 
         sizes, quotients = Sizes(), Quotients()
         try:
             tape = Tape.from_function(ca.Function("f", [x], pool[-2:]))
-            said, true = evaluated(tape, sizes, sizes.inputs(tape, {})), evaluated(tape, quotients, [symbols])
+            reported, true = evaluated(tape, sizes, sizes.inputs(tape, {})), evaluated(tape, quotients, [symbols])
             slopes = Tangents(tape, [0, 1], [0])
-            moved = slopes.along(sizes, said, {0: [free() for _ in range(3)]})
+            moved = slopes.along(sizes, reported, {0: [free() for _ in range(3)]})
             moving = slopes.along(quotients, true, {0: directions})
         except (ZeroDivisionError, ValueFault):
             continue
-        compared += held(true, said) + sum(map(held, moving, moved))
+        compared += held(true, reported) + sum(map(held, moving, moved))
     assert compared > 100
 
 
@@ -172,7 +172,7 @@ def test_steps_are_no_larger_than_it_states(rule: Any, sizes: tuple[int, ...], r
     steps = Steps(rule, "w", "G" if memory else "", sizes, rows, box, {})
     symbols = {name: [Quotient(s) for s in sympy.symbols(f"{name}_0:{count}")] for name, count in counts.items()}
     true = step_result(Quotients(), steps, symbols)
-    said = step_result(Sizes(), steps, {name: [free() for _ in range(count)] for name, count in counts.items()})
-    for name in said.moves:
-        assert held(true.moves[name], said.moves[name])
-    assert held([true.moved, true.lost, true.gained], [said.moved, said.lost, said.gained]) == 3
+    reported = step_result(Sizes(), steps, {name: [free() for _ in range(count)] for name, count in counts.items()})
+    for name in reported.moves:
+        assert held(true.moves[name], reported.moves[name])
+    assert held([true.moved, true.lost, true.gained], [reported.moved, reported.lost, reported.gained]) == 3

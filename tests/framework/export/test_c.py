@@ -56,7 +56,7 @@ def compiled(folder: Path, *words: str, main: str = "replay.c") -> Path:
     return out
 
 
-def said(program: Path) -> subprocess.CompletedProcess[str]:
+def reported(program: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([str(program)], capture_output=True, text=True, check=False)
 
 
@@ -66,7 +66,7 @@ def said(program: Path) -> subprocess.CompletedProcess[str]:
     [("ur10_fast", "-O0"), ("ur10_fast", "-Os"), *((name, "-O2") for name in (*GRAPHS, "ur10_slow_probe"))],
 )
 def test_it_compiles_without_a_warning_to_the_same_bits(name: str, optimised: str) -> None:
-    done = said(compiled(exported(name), *STRICT, *PLAIN, optimised))
+    done = reported(compiled(exported(name), *STRICT, *PLAIN, optimised))
     assert (done.returncode, done.stderr) == (0, "")
     assert f"{33 if name == 'ur10_slow_probe' else 250} samples, the same bits" in done.stdout
 
@@ -74,7 +74,7 @@ def test_it_compiles_without_a_warning_to_the_same_bits(name: str, optimised: st
 @needs_gcc
 def test_a_source_that_the_plant_alone_reads_is_no_part_of_the_path() -> None:
     folder = exported(LOADED)
-    assert "250 samples, the same bits" in said(compiled(folder, *STRICT, *PLAIN, "-O1")).stdout
+    assert "250 samples, the same bits" in reported(compiled(folder, *STRICT, *PLAIN, "-O1")).stdout
     header = (folder / f"{LOADED}.h").read_text(encoding="utf-8")
     code = re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL)
     assert "path_q_d[6]" in code
@@ -86,7 +86,7 @@ def test_a_source_that_the_plant_alone_reads_is_no_part_of_the_path() -> None:
 @pytest.mark.parametrize("name", ["ur10_fast", "ur10_fast_kinematic"])
 def test_sanitizers_find_nothing(name: str, main: str) -> None:
     words = ("-std=c99", "-g", *PLAIN, "-fsanitize=address,undefined", "-fno-sanitize-recover")
-    done = said(compiled(exported(name), *words, main=main))
+    done = reported(compiled(exported(name), *words, main=main))
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -109,7 +109,7 @@ def test_one_wrong_bit_is_found(array: str, tmp_path: Path) -> None:
     turned = f"{int(number.group(1), 16) ^ 1:04x}"
     (folder / "samples.h").write_text(text[: number.start(1)] + turned + text[number.end(1) :], encoding="utf-8")
     (folder / "ur10_fast.c").write_text('#include "ur10_fast.h"\n', encoding="utf-8")
-    done = said(compiled(folder, *STRICT, *PLAIN, controller_object()))
+    done = reported(compiled(folder, *STRICT, *PLAIN, controller_object()))
     assert done.returncode == 1
     assert "different bits" in done.stdout
 
@@ -264,7 +264,7 @@ def test_without_a_compiler_it_is_written_all_the_same(tmp_path: Path, monkeypat
     assert "#define DM_EXACT 0" in (tmp_path / "out" / "samples.h").read_text(encoding="utf-8")
     assert "to rounding, since no compiler worked" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
     if GCC is not None:
-        assert said(compiled(tmp_path / "out", *STRICT, *PLAIN)).returncode == 0
+        assert reported(compiled(tmp_path / "out", *STRICT, *PLAIN)).returncode == 0
 
 
 @needs_gcc
@@ -274,7 +274,7 @@ def test_a_name_that_is_another_files_is_changed(name: str, tmp_path: Path) -> N
     file.write_text(dm.load("ur10_fast_kinematic").text, encoding="utf-8")
     dm.load(file).set({"duration": 0.05}).export(tmp_path / "out")
     assert (tmp_path / "out" / f"{name}_controller.c").is_file()
-    done = said(compiled(tmp_path / "out", *STRICT, *PLAIN, "-I."))
+    done = reported(compiled(tmp_path / "out", *STRICT, *PLAIN, "-I."))
     assert done.returncode == 0
     assert done.stdout.startswith(f"{name}_controller: ")
 

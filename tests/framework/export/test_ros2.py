@@ -94,7 +94,7 @@ class Answer:
 
     def __init__(self, done: subprocess.CompletedProcess[str], states: int) -> None:
         lines = done.stdout.splitlines()
-        self.said, self.status = done.stderr, done.returncode
+        self.messages, self.status = done.stderr, done.returncode
         self.reference, self.states = lines[0], lines[1 : 1 + states]
         rows = [line.split() for line in lines[1 + states :]]
         self.results = [int(row[0]) for row in rows[:-1]]
@@ -151,7 +151,7 @@ def test_another_number_is_another_command() -> None:
 def test_without_a_target_it_takes_what_it_has_commanded() -> None:
     measured, commanded = run()
     found = answered(rows_of(measured[:, :6]))
-    assert "the measured start plus the integral of the commands" in found.said
+    assert "the measured start plus the integral of the commands" in found.messages
     # this servo's target starts at the arm's position
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-9)
 
@@ -167,7 +167,7 @@ def test_what_is_not_finite_is_an_error_and_zeros_until_it_is_activated_again(ba
     assert found.results == [0] * 4 + [1] * 6
     assert np.all(found.commands[4:] == 0)
     assert np.any(found.commands[3] != 0)
-    assert "stopped: a state interface is not finite" in found.said
+    assert "stopped: a state interface is not finite" in found.messages
     assert found.allocations == [0] * 10
 
 
@@ -180,7 +180,7 @@ def test_a_wrong_pace_and_updates_that_stay_away_are_errors(pace: float, periods
     rows[5, 0], rows[5, 1] = periods * T, pace
     found = answered(rows, *FULL)
     assert found.results == [0] * 5 + [1] * 5
-    assert text in found.said
+    assert text in found.messages
 
 
 @needs_compilers
@@ -227,7 +227,7 @@ def test_a_controller_before_it_may_give_the_path_as_a_whole() -> None:
     rows[5, 4] = np.nan
     partly = answered(rows[:10], *FULL)
     assert partly.results == [0] * 5 + [1] * 5
-    assert "path: expected all of its numbers, or none" in partly.said
+    assert "path: expected all of its numbers, or none" in partly.messages
 
 
 def graph_x(graph: dm.Graph, q: np.ndarray) -> np.ndarray:

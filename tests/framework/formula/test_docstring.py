@@ -150,10 +150,10 @@ SEEDED = {
 
 @pytest.mark.parametrize("what", SEEDED)
 def test_a_docstring_that_differs_from_the_code_is_reported_with_its_line(faults, what):
-    old, new, said = SEEDED[what]
+    old, new, reported = SEEDED[what]
     found = faults(old, new)
     assert found
-    assert any(said in text for text in found), found
+    assert any(reported in text for text in found), found
     assert all(text.startswith("mixed.py:") for text in found)
     lines = CODE.replace("LAW", LAW.replace(old, new, 1)).splitlines()
     if new and not what.startswith("a definition"):  # a definition is reported where it is used

@@ -54,7 +54,7 @@ def test_a_formula_is_its_numbers(text, expected):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reported"),
     [
         (r"x + e", "2 x 1 and 3 x 1 cannot be added"),
         (r"\hat J x", "2 x 3 and 2 x 1 cannot be multiplied"),
@@ -72,8 +72,8 @@ def test_a_formula_is_its_numbers(text, expected):
         (r"\lambda e", "the name lambda is unknown; in code it is lambda_, since lambda is a word of Python$"),
     ],
 )
-def test_what_makes_no_sense_is_refused(text, said):
-    with pytest.raises(UnreadableLatexError, match=said):
+def test_what_makes_no_sense_is_refused(text, reported):
+    with pytest.raises(UnreadableLatexError, match=reported):
         value(text)
 
 

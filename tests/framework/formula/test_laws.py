@@ -259,7 +259,7 @@ def test_a_name_replaces_its_subexpression_and_is_defined_next_to_the_law():
 
 
 @pytest.mark.parametrize(
-    ("give", "said"),
+    ("give", "reported"),
     [
         (lambda x, p: named("k", x.q), "the name k is taken, by a parameter of the block"),
         (lambda x, p: named("q", x.q), "the name q is taken, by a state"),
@@ -275,8 +275,8 @@ def test_a_name_replaces_its_subexpression_and_is_defined_next_to_the_law():
         (lambda x, p: named("f", x.q) * p.k, "f, named twice, differs"),
     ],
 )
-def test_an_invalid_name_is_refused_with_file_and_line(give, said):
-    with pytest.raises(BlockError, match=said) as caught:
+def test_an_invalid_name_is_refused_with_file_and_line(give, reported):
+    with pytest.raises(BlockError, match=reported) as caught:
         printed(spring(give), "spring")
     assert "test_laws.py:" in caught.value.text
 

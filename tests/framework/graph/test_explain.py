@@ -44,7 +44,7 @@ def explained(name: str) -> Explanation:
     return Explanation(graph, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
 
 
-def said(name: str, block: str = "") -> str:
+def reported(name: str, block: str = "") -> str:
     """The section of a block, or the last one, of one graph, in one line."""
     sections = explained(name).sections
     (found,) = [section for section in sections if f" {block} (" in section.heading] if block else sections[-1:]
@@ -72,22 +72,22 @@ def test_the_order_is_that_of_the_signals_and_not_that_of_the_file() -> None:
 
 
 def test_signals_are_listed_with_unit_origin_and_reader() -> None:
-    inverse = said("ur10_fast", "inverse")
+    inverse = reported("ur10_fast", "inverse")
     assert "q_c [rad], measured at servo; q̇_r [rad/s] from task; and τ_dc [N m] from dynamics." in inverse
     assert "Outputs: q̇_c [rad/s] to servo, q̇_ref [rad/s] to model and σ [rad/s] to dynamics." in inverse
-    assert "ẋ_d [m/s], the time derivative of x_d" in said("ur10_fast", "task")
-    assert "q̇_c [rad/s], commanded by inverse" in said("ur10_fast", "servo")
-    model = said("torque_direct_pi", "model")
+    assert "ẋ_d [m/s], the time derivative of x_d" in reported("ur10_fast", "task")
+    assert "q̇_c [rad/s], commanded by inverse" in reported("ur10_fast", "servo")
+    model = reported("torque_direct_pi", "model")
     assert "q̇ [rad/s] as q̇_ref, measured at arm; and q̈_m [rad/s^2] as q̈_ref, measured at sensor" in model
-    assert "ε [rad^2/(N m s^3)] from adaptation" in said("torque_direct_pi", "inverse")  # its port accepts any unit
+    assert "ε [rad^2/(N m s^3)] from adaptation" in reported("torque_direct_pi", "inverse")  # its port accepts any unit
 
 
 def test_unconnected_inputs_and_unread_outputs_depend_on_the_graph() -> None:
-    assert "Unconnected, so zero: q̇_null." in said("ur10_fast", "task")
-    assert "Unconnected, so zero: τ_task, τ_known, a_d,nominal, Y_f and e_f." in said("ur10_fast", "dynamics")
-    assert "Unconnected" not in said("torque_direct_pi", "adaptation")  # it takes a_d_nominal from its model
-    assert "No block reads w or w_I." in said("theorem_3", "inverse")
-    assert "No block reads" not in said("torque_indirect_filtered_pi", "inverse")
+    assert "Unconnected, so zero: q̇_null." in reported("ur10_fast", "task")
+    assert "Unconnected, so zero: τ_task, τ_known, a_d,nominal, Y_f and e_f." in reported("ur10_fast", "dynamics")
+    assert "Unconnected" not in reported("torque_direct_pi", "adaptation")  # it takes a_d_nominal from its model
+    assert "No block reads w or w_I." in reported("theorem_3", "inverse")
+    assert "No block reads" not in reported("torque_indirect_filtered_pi", "inverse")
 
 
 def test_roles_follow_from_what_a_block_does_in_its_graph() -> None:
@@ -103,27 +103,27 @@ def test_roles_follow_from_what_a_block_does_in_its_graph() -> None:
 
 
 def test_estimates_have_true_and_initial_values_of_the_graph() -> None:
-    assert "It estimates K_P/K_D by w_P [1/s], initially 2; true value 2.2." in said("ur10_fast", "inverse")
+    assert "It estimates K_P/K_D by w_P [1/s], initially 2; true value 2.2." in reported("ur10_fast", "inverse")
     changed = dm.load("pendulum").set({"servo.K_P": 50, "inverse.w_P": 7}).explain()
     text = str(changed)
     assert "It estimates K_P/K_D by w_P [1/s], initially 7; true value 2.5." in " ".join(text.split())
-    assert "the true value depends on signals" in said("torque_direct_pi", "adaptation")  # on servo.i
+    assert "the true value depends on signals" in reported("torque_direct_pi", "adaptation")  # on servo.i
 
 
 def test_required_robot_parameters_are_listed_at_the_block_that_uses_them() -> None:
     known = "Its equations contain the link lengths, the joint axes and the tool offset of the true robot"
-    assert known in said("ur10_fast", "geometry")
-    assert "Its equations contain the joint axes of the true robot" in said("theorem_3", "geometry")
-    assert "Its equations contain" not in said("ur10_fast", "task")
+    assert known in reported("ur10_fast", "geometry")
+    assert "Its equations contain the joint axes of the true robot" in reported("theorem_3", "geometry")
+    assert "Its equations contain" not in reported("ur10_fast", "task")
 
 
 def test_storage_dissipation_supply_rate_and_cross_term_are_those_of_the_block() -> None:
-    task = said("ur10_fast", "task")
+    task = reported("ur10_fast", "task")
     assert "S = ½ |x − x_d|²" in task
     assert "Its cross term in dV/dt is |s|²/γ; the dissipation of inverse must dominate it." in task
-    assert "−σᵀ Y_d (â_d − a_d)" in said("ur10_fast", "dynamics")
-    assert "It has no term in V and dV/dt." in said("ur10_fast", "servo")
-    assert "It has no term" not in said("ur10_fast", "arm")
+    assert "−σᵀ Y_d (â_d − a_d)" in reported("ur10_fast", "dynamics")
+    assert "It has no term in V and dV/dt." in reported("ur10_fast", "servo")
+    assert "It has no term" not in reported("ur10_fast", "arm")
     robust = dm.load("pendulum").set({"dynamics.leak": 0.1}).explain()
     assert "Residual of the robust adaptation, which may increase dV/dt:" in str(robust)
     assert "robust adaptation" not in str(explained("pendulum"))
@@ -148,8 +148,8 @@ def test_unread_measurements_are_listed_separately() -> None:
 
 def test_the_command_of_a_graph_without_a_file_names_the_file_to_write(tmp_path: Path) -> None:
     text = dm.load("ur10_slow_kinematic").text
-    said = " ".join(str(dm.load(text, name="mine").explain()).split())
-    assert "Verdict: not applicable (dmframe verify mine.yaml, with the graph's text in mine.yaml)." in said
+    reported = " ".join(str(dm.load(text, name="mine").explain()).split())
+    assert "Verdict: not applicable (dmframe verify mine.yaml, with the graph's text in mine.yaml)." in reported
     (tmp_path / "mine").write_text(text)
     found = str(dm.load(tmp_path / "mine").explain())
     wanted = f"Verdict: not applicable (dmframe verify {tmp_path / 'mine'})."
@@ -157,16 +157,16 @@ def test_the_command_of_a_graph_without_a_file_names_the_file_to_write(tmp_path:
 
 
 def test_supplies_cancel_in_the_groups_in_which_they_do() -> None:
-    text = said("theorem_3")
+    text = reported("theorem_3")
     assert "The supply rates of dynamics, inverse and arm sum to zero" in text
     assert "The supply rates of geometry, observer and task sum to zero" in text
-    assert "The supply rates of geometry, filter, task, dynamics, inverse and arm sum to zero" in said("theorem_1")
+    assert "The supply rates of geometry, filter, task, dynamics, inverse and arm sum to zero" in reported("theorem_1")
 
 
 def test_a_supply_rate_that_is_zero_by_itself_is_listed() -> None:
-    assert "The supply rate of task is zero." in said("computed_torque")
-    assert " is zero." not in said("ur10_fast")
-    inverse = " ".join(said("computed_torque", "torque").split())
+    assert "The supply rate of task is zero." in reported("computed_torque")
+    assert " is zero." not in reported("ur10_fast")
+    inverse = " ".join(reported("computed_torque", "torque").split())
     assert "gravity and the masses and inertias of the true robot" in inverse
 
 
@@ -226,17 +226,17 @@ def test_supply_rates_that_do_not_cancel_are_reported(tmp_path: Path) -> None:
 
 
 def test_the_verdict_is_that_of_verify_and_so_are_the_failing_conditions() -> None:
-    assert "Verdict: proved (dmframe verify ur10_fast)." in said("ur10_fast")
-    assert "With any κ above 0.003109, the dissipation of inverse dominates the cross term of task." in said(
+    assert "Verdict: proved (dmframe verify ur10_fast)." in reported("ur10_fast")
+    assert "With any κ above 0.003109, the dissipation of inverse dominates the cross term of task." in reported(
         "ur10_fast"
     )
-    assert "the effect of sampling every 8 ms is not proved" in said("ur10_fast")
-    assert "the effect of sampling" not in said("pendulum")
+    assert "the effect of sampling every 8 ms is not proved" in reported("ur10_fast")
+    assert "the effect of sampling" not in reported("pendulum")
     weak = dm.load("pendulum").set({"inverse.K_c": 0.1}).explain()
     text = " ".join(item.text for item in weak.sections[-1].sentences)
     assert "Verdict: not applicable (dmframe verify pendulum --set inverse.K_c=0.1)." in text
     assert "Conditions that fail: inverse: M̄ ≥ 0" in text
-    assert "- geometry (kinematics) uses exact values of the link lengths" in said("ur10_fast")
+    assert "- geometry (kinematics) uses exact values of the link lengths" in reported("ur10_fast")
 
 
 def test_a_graph_without_a_certificate_has_no_energy() -> None:

@@ -113,7 +113,7 @@ def test_a_corrupted_file_is_refused_or_refuted_or_states_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "reports"),
     [
         (lambda found: found.update(version=2), "expected version 1, found 2"),
         (lambda found: found.pop("symbols"), "symbols: missing or unknown key of a Claim"),
@@ -122,10 +122,10 @@ def test_a_corrupted_file_is_refused_or_refuted_or_states_the_same() -> None:
         (lambda found: found["program"].update(nodes=[]), "ValueError"),
     ],
 )
-def test_what_is_not_a_claim_is_refused(change: Any, says: str) -> None:
+def test_what_is_not_a_claim_is_refused(change: Any, reports: str) -> None:
     found = json.loads(to_json(claim("arm2_joint")))
     change(found)
-    with pytest.raises(ValueFault, match=says):
+    with pytest.raises(ValueFault, match=reports):
         from_json(json.dumps(found))
     with pytest.raises(ValueFault, match="a claim: expected the format of `to_json`"):
         from_json("no JSON")

@@ -147,8 +147,8 @@ FALSE: dict[str, tuple[Change, str]] = {
 
 @pytest.mark.parametrize("fault", FALSE)
 def test_a_false_file_is_refused(fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    change, says = FALSE[fault]
-    with pytest.raises(ValueFault, match=f"a claim: .*({says})"):
+    change, reports = FALSE[fault]
+    with pytest.raises(ValueFault, match=f"a claim: .*({reports})"):
         from_json(changed(change))
     path = tmp_path / "claim.json"
     path.write_text(changed(change), encoding="utf-8")
@@ -167,9 +167,9 @@ def test_a_file_that_is_not_a_claim_is_refused_without_a_traceback(
     path.write_bytes(content)
     assert main([str(path)]) == 2
     assert main([str(tmp_path)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 2
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert reported.err.count("\n") == 2
 
 
 def test_a_file_whose_moves_are_exchanged_does_not_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from fake_study import FakeStudy
-from study_processes import check, client, close, environment, files, gate, kill, said, wait_for_end
+from study_processes import check, client, close, environment, files, gate, kill, reported, wait_for_end
 
 from dmframe.study import cluster
 from dmframe.study.chunks import Chunk
@@ -76,7 +76,7 @@ def test_workers_client_and_scheduler_are_killed_one_after_another(
         second = client(out, gates, scheduler=place)
         with gate(gates, "2-0") as (worker, _):
             kill(scheduler.pid)
-            kept, computed, lost = said(second).split("|")
+            kept, computed, lost = reported(second).split("|")
         assert lost == f"--scheduler {place}: the scheduler has gone"
     assert int(computed) + 8 * len(before) == int(kept) < 120
     last = finish(FakeStudy(), out)  # without a scheduler: the folder is the same

@@ -264,14 +264,14 @@ def test_what_is_packed_is_what_is_unpacked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "reported"),
     [
         (["report", "nowhere"], "nowhere: expected the folder of a study; run it first"),
         (["report", "nowhere", "--out", "x"], "--out: it has no effect with report; leave one out"),
         (["report", "one", "two"], "expected one file, found 2"),
     ],
 )
-def test_an_empty_report_states_this(words: list[str], said: str, tmp_path: Path, dmframe: Dmframe) -> None:
+def test_an_empty_report_states_this(words: list[str], reported: str, tmp_path: Path, dmframe: Dmframe) -> None:
     status, out, err = dmframe(*words)
     assert (status, out) == (2, "")
-    assert said in err
+    assert reported in err

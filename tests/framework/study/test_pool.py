@@ -9,7 +9,7 @@ from typing import final
 
 import pytest
 from fake_study import FakeStudy
-from study_processes import check, client, close, files, gate, kill, said, wait_for_end
+from study_processes import check, client, close, files, gate, kill, reported, wait_for_end
 
 from dmframe.study import execute
 from dmframe.study.chunks import Chunk
@@ -43,7 +43,7 @@ def test_a_worker_that_is_killed_costs_its_chunk_alone(tmp_path: Path, gates: Pa
     running = client(out, gates, workers=2)
     with gate(gates, "1-8") as (worker, _):
         kill(worker)
-        assert said(running) == "120|120|"
+        assert reported(running) == "120|120|"
     check(out)
 
 

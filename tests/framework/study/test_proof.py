@@ -156,14 +156,14 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize(
-    ("sample", "says", "apart"),
+    ("sample", "reports", "apart"),
     [
         ("clock: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
         ("clock: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole sampled box", True),
         ("servo.K_P: {scale: [1, 2]}", "hold over the whole sampled box", False),
     ],
 )
-def test_the_answer_states_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
+def test_the_answer_states_what_the_box_does_not_hold(sample: str, reports: str, apart: bool) -> None:
     found = study(sample, "arm2_joint")
     data = ReportData(
         cast(Findings, SimpleNamespace(points=found.points, results=SimpleNamespace(study=found))),
@@ -173,7 +173,7 @@ def test_the_answer_states_what_the_box_does_not_hold(sample: str, says: str, ap
         (),
         (),
     )
-    assert says in proof_in_short(data)
+    assert reports in proof_in_short(data)
     assert ("Not in the box, since no proof depends on it: `clock`" in proof_in_short(data)) == apart
     parts = repr(list(sections.proof_section(data)))
     assert ("no proof depends on it" in parts) == apart

@@ -205,29 +205,30 @@ def test_a_worst_run_runs_again_exactly_as_it_did(tmp_path: Path) -> None:
 
 
 def test_the_page_begins_with_the_answer(page: Callable[..., tuple[Path, str]]) -> None:
-    _, said = page()
-    assert "None of 200 robots diverged at 2 of 2 settings" in said
+    _, printed = page()
+    assert "None of 200 robots diverged at 2 of 2 settings" in printed
     most = 100 * (1 - 0.025 ** (1 / 200))  # Bonferroni: half of 5 % for each of two
     assert 1.8 < most < 1.9
     assert (
-        "at each of them the probability of divergence is at most 1.9 %, at 95 % confidence for all 2 settings" in said
+        "at each of them the probability of divergence is at most 1.9 %, at 95 % confidence for all 2 settings"
+        in printed
     )
-    assert "Gamma = 10 has the smallest 99 % quantile of rms_final" in said
-    assert "Clopper" in said
+    assert "Gamma = 10 has the smallest 99 % quantile of rms_final" in printed
+    assert "Clopper" in printed
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_of_one_point_the_answer_is_the_one_sided_limit(folder: Callable[..., Path]) -> None:
-    said = words(write_report(folder(text=text_of(runs=299, grid="grid: {dynamics.Gamma: [1]}\n")), proofs=False))
-    assert "Of 299 robots none diverged : the probability of divergence is at most 1 %, at 95 % confidence." in said
+    printed = words(write_report(folder(text=text_of(runs=299, grid="grid: {dynamics.Gamma: [1]}\n")), proofs=False))
+    assert "Of 299 robots none diverged : the probability of divergence is at most 1 %, at 95 % confidence." in printed
 
 
 def test_the_page_names_its_graph_and_duration(page: Callable[..., tuple[Path, str]]) -> None:
-    place, said = page()
+    place, printed = page()
     study = Results(place).study
     (graph,) = {point.graph.name for point in study.points}
     duration = study.points[0].graph.duration
-    assert f"Graph {graph}; runs of {duration:g} s." in said
+    assert f"Graph {graph}; runs of {duration:g} s." in printed
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -236,8 +237,8 @@ def test_commands_of_a_page_work_where_it_was_written(
 ) -> None:
     place = folder()
     monkeypatch.chdir(place.parent.parent)
-    said = words(write_report(place, proofs=False))
-    assert f"dmframe study report {quote(str(place.relative_to(Path.cwd())))} " in said
+    printed = words(write_report(place, proofs=False))
+    assert f"dmframe study report {quote(str(place.relative_to(Path.cwd())))} " in printed
     monkeypatch.chdir(Path(__file__).parent)
     assert f"dmframe study report {place.name} " in words(write_report(place, proofs=False))
 
@@ -250,11 +251,11 @@ def test_a_map_of_a_setting_without_divergence_states_this(page: Callable[..., t
 
 
 def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tuple[Path, str]]) -> None:
-    place, said = page(breaking)
-    assert "None of 200 robots diverged at 1 of 2 settings" in said
-    assert "Largest influence on whether a run diverges at Gamma = 10 : servo.K_D" in said
+    place, printed = page(breaking)
+    assert "None of 200 robots diverged at 1 of 2 settings" in printed
+    assert "Largest influence on whether a run diverges at Gamma = 10 : servo.K_D" in printed
     worst = Results(place).worst_runs()[0]
-    assert f"The worst run is number {worst} at Gamma = 10 : diverged after" in said
+    assert f"The worst run is number {worst} at Gamma = 10 : diverged after" in printed
     found = Results(place)
     saved = [dm.load(place / f"worst_{k}.yaml") for k in (1, 2, 3, 4)]
     assert [each.blocks["dynamics"].Gamma for each in saved] == [10, 10, 10, 1]  # type: ignore[attr-defined]
@@ -269,10 +270,10 @@ def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tu
 @pytest.mark.parametrize("method", ["sobol", "latin_hypercube"])
 def test_no_interval_is_printed_where_none_is_valid(folder: Callable[..., Path], method: str) -> None:
     place = folder(breaking, text_of(runs=64, method=method))
-    said = words(write_report(place, proofs=False))
-    assert "No interval of probability is given" in said
+    printed = words(write_report(place, proofs=False))
+    assert "No interval of probability is given" in printed
     for never in ("95 % interval", "at most", "confidence", "by chance", "sign test", "Clopper"):
-        assert never not in said.replace("over at most 16 bins", "").replace(
+        assert never not in printed.replace("over at most 16 bins", "").replace(
             "Fraction of the runs with at most", ""
         ).replace("what so many bins explain by chance", "")
     assert Results(place).table["low"].null_count() == 2
@@ -282,10 +283,10 @@ def test_no_interval_is_printed_where_none_is_valid(folder: Callable[..., Path],
 def test_a_page_of_single_runs_states_no_probability(folder: Callable[..., Path]) -> None:
     text = re.sub(r"sample:\n(?:  .*\n)+", "", text_of())
     place = folder(lambda *_: {"rms_final": [1e-3]}, text)
-    said = words(write_report(place, proofs=False))
-    assert "2 settings ran, each once; none of them diverged" in said
-    assert "which gives no probability" in said
-    assert "confidence" not in said
+    printed = words(write_report(place, proofs=False))
+    assert "2 settings ran, each once; none of them diverged" in printed
+    assert "which gives no probability" in printed
+    assert "confidence" not in printed
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -298,9 +299,9 @@ def test_missing_and_failed_runs_are_reported(folder: Callable[..., Path]) -> No
     place = folder(figures, drop=40, chunk=200)
     found = findings_of(Results(place))
     assert [(each.runs, each.failed, each.missing) for each in found.points] == [(159, 1, 40)] * 2
-    said = words(write_report(place, proofs=False))
-    assert "80 runs are missing" in said
-    assert "2 runs could not be prepared" in said
+    printed = words(write_report(place, proofs=False))
+    assert "80 runs are missing" in printed
+    assert "2 runs could not be prepared" in printed
     assert lead_of(place).outcome == "open"
 
 
@@ -321,9 +322,9 @@ def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: P
         results = Results(write(tmp_path / str(seed), figures, text_of(runs=20, method=method, grid="\n")))
         data = ReportData(findings_of(results), (), (), True, (), ())
         shares = [item.explained for item in data.found.points[0].influences["rms_final"]]
-        said = "Largest influence" in repr(list(summary(data)))
-        named += said
-        assert not said or max(shares) >= WORTH
+        printed = "Largest influence" in repr(list(summary(data)))
+        named += printed
+        assert not printed or max(shares) >= WORTH
     assert named <= 2  # of ten, each of which may be wrong in one of twenty cases
 
 
@@ -383,15 +384,15 @@ def test_a_varied_quantity_is_not_an_event(folder: Callable[..., Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "printed"),
     [
         ("rms_finl > 1 mm", "unknown figure; did you mean rms_final?"),
         ("rms_final > 1 s", "expected a quantity in rad, found '1 s'"),
         ("often", "expected diverged, or a figure and a limit such as 'error_most > 5 mm'"),
     ],
 )
-def test_an_event_that_means_nothing_is_refused(text: str, said: str) -> None:
-    with pytest.raises(DmframeError, match=re.escape(said)):
+def test_an_event_that_means_nothing_is_refused(text: str, printed: str) -> None:
+    with pytest.raises(DmframeError, match=re.escape(printed)):
         event_of(text, {"rms_final": "rad"})
 
 

@@ -156,8 +156,8 @@ end
     assert math.isnan(ended.registers.values["output_double_register_1"])
     assert ended.registers.values["output_bit_register_1"] is False
     assert ended.registers.values["output_int_register_0"] == 7
-    said = " ".join(ended.messages)
-    assert "inverse: inverse kinematics: ur10 has only 3 free joints in this graph; the result is NaN" in said
+    reported = " ".join(ended.messages)
+    assert "inverse: inverse kinematics: ur10 has only 3 free joints in this graph; the result is NaN" in reported
 
 
 def test_torques_are_k_u_at_every_place_where_a_client_reads_them() -> None:
