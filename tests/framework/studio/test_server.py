@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,22 @@ def client(path: Path) -> Iterator[TestClient]:
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", follow_redirects=False) as found:
         assert found.get(f"/?token={TOKEN}").status_code == 303
         yield found
+
+
+def test_after_the_worker_ended_the_next_edit_starts_another(path: Path) -> None:
+    app, studio = application(path, TOKEN, PORT)
+    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}") as client:
+        client.cookies.set(f"dmframe_studio_{PORT}", TOKEN)
+        process = studio.worker._process
+        assert process is not None
+        os.kill(process.pid, signal.SIGKILL)
+        text = path.read_text()
+        for k in range(3):  # the first request may meet the process that ends
+            found = stages(client, text=f"{text}# {k}\n")
+            if "ended" not in found:
+                break
+        assert found["verdict"]["outcome"] == "proved"
+        assert studio.worker._process is not process
 
 
 @pytest.fixture
