@@ -29,6 +29,7 @@ from dmframe.block import (
     named,
     operation,
 )
+from dmframe_blocks import _followed_ramp
 from dmframe_blocks._identified_delay import (
     DELAY_HAT,
     IDENTIFIED,
@@ -86,7 +87,15 @@ class ExpertAggregation(AbstractBlock):
     times as much. That the loop is stable does not follow. That h and y are forecast errors of the experts is how they
     are computed, and not a part of what is proved.
 
-    *Rate.* With `a_max` a command changes by at most a_max T per sample, as behind a ramp that limits accelerations.
+    *Rate.* With `a_max` a command changes by at most a_max T per sample, as behind a ramp that limits accelerations. If
+    the path needs more than a half of it, it gets that, and as much again for corrections: the change lies between
+
+        min(-a_max T, D - B)  and  max(a_max T, D + B),    B = max(a_max T/2, |D|)
+
+    with the change D of dq_path, the velocity along the path without feedback; D counts as zero at a start from rest,
+    and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The motion shows
+    this: the evidence is the integral of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope a_max behind
+    the command u. Once it is below -0.001 rad^2/s, D counts as zero.
 
     Parameters
     ----------
@@ -115,7 +124,7 @@ class ExpertAggregation(AbstractBlock):
     u_max : diagonal (n,), rad/s, > 0
         Largest command.
     a_max : diagonal (n,), rad/s^2, > 0
-        Largest change of a command per second; by default it is not limited.
+        Largest change of a command per second, where the path does not need more; by default it is not limited.
 
     Notes
     -----
@@ -131,6 +140,7 @@ class ExpertAggregation(AbstractBlock):
     inputs = (
         Input("q", "n", "rad"),
         Input("dq_r", "n", "rad/s"),
+        Input("dq_path", "n", "rad/s", optional=True),
         Input("dq_model", "n", "rad/s"),
         Input("q_model", "n", "rad"),
         Input("epsilon", "n", "rad/s"),
@@ -155,6 +165,7 @@ class ExpertAggregation(AbstractBlock):
         State("q_before", "n", "rad", sampled=True),
         State("queue", "n d", "rad/s", sampled=True),
         State("count", sampled=True),
+        *_followed_ramp.STATES,
     )
 
     rate: Scalar | None = Positive("", "rad/s", default=None)
@@ -221,8 +232,8 @@ class ExpertAggregation(AbstractBlock):
         w = named("w_all", with_first(trusted, lag))
         q_start = named("q_mean", along(w, experts.q_start))
         wished = clip(named("dq_mean", along(w, experts.command)), p.u_max)
-        last = x.queue[:, -1]
-        dq_sent = named("dq_now", last + clip(wished - last, p.a_max * u.T) if "a_max" in p else wished)
+        limited = _followed_ramp.limited(self, u, x, p, wished, lag)
+        dq_sent = named("dq_now", x.queue[:, -1] + limited.change if "a_max" in p else wished)
         by_command = elementwise(experts.slope, halves(dq_sent, dq_sent, experts.command) - experts.command)
         ends = experts.q_start + u.T * (halves(u.dq_r, u.dq_r, experts.command) + by_command)
         E = experts.command.shape[1]
@@ -232,11 +243,12 @@ class ExpertAggregation(AbstractBlock):
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
             next={
-                **self._begun(u, {"observed": ca.horzcat(*held), "count": x.count + 1}),
+                **self._begun(u, {"observed": ca.horzcat(*held), "count": x.count + 1, **limited.begun}),
                 **kept,
                 **phase,
                 "forecasts": ca.horzcat(x.forecasts[:, E:], ends),
                 "q_before": u.q,
+                **limited.kept,
                 "queue": ca.horzcat(x.queue[:, 1:], dq_sent),
             },
         )

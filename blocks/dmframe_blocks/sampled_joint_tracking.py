@@ -49,6 +49,8 @@ class SampledJointTracking(AbstractBlock):
 
     so that this loop is stable with any g below `gain_margin` and any m up to `delay_margin`.
 
+    The output dq_path is the velocity along the path without feedback, :math:`(q_{d,1} - q_d)/T`.
+
     A command that acts `delay` samples later is computed for the sample that starts then: set the same `delay` in the
     block that predicts q_start. With `delay_up_to` the input delay_hat is this delay, and the margin of the gain is
     taken for delay_margin + delay_hat samples, so that it does not rely on the prediction; until the delay is
@@ -84,7 +86,11 @@ class SampledJointTracking(AbstractBlock):
         IDENTIFIED,
         PERIOD,
     )
-    outputs = (Output("dq_r", "n", "rad/s"), Output("q_err", "n", "rad", optional=True))
+    outputs = (
+        Output("dq_r", "n", "rad/s"),
+        Output("q_err", "n", "rad", optional=True),
+        Output("dq_path", "n", "rad/s", optional=True),
+    )
 
     Lambda: Scalar | None = Positive("", "1/s", default=None)
     gain_margin: Scalar | None = Positive(default=None)
@@ -107,4 +113,5 @@ class SampledJointTracking(AbstractBlock):
         now, goal = ends_of_sample(self, u, path, names=("q_at", "q_to"))
         step = u.T * p.Lambda if "Lambda" in p else gain_at_limit(self, u) / p.gain_margin
         q_err = named("q_err", u.q_start - now)
-        return Equations(outputs={"dq_r": (goal - now - step * q_err) / u.T, "q_err": q_err})
+        along = (goal - now) / u.T
+        return Equations(outputs={"dq_r": (goal - now - step * q_err) / u.T, "q_err": q_err, "dq_path": along})

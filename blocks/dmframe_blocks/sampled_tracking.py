@@ -11,6 +11,7 @@ from dmframe.block import (
     PERIOD,
     SX,
     AbstractBlock,
+    Diagonal,
     Equations,
     Input,
     NonNegative,
@@ -28,7 +29,7 @@ from dmframe_blocks._identified_delay import (
     longest,
     needs_delay,
 )
-from dmframe_blocks._margins import check_gain, ends_of_sample, gain_at_limit
+from dmframe_blocks._margins import braked, check_gain, ends_of_sample, gain_at_limit
 
 
 @final
@@ -66,6 +67,18 @@ class SampledTracking(AbstractBlock):
 
     so that this loop is stable with any g below `gain_margin` and any m up to `delay_margin`.
 
+    *Braking.* A robot whose acceleration is limited cannot end a fast correction at once: with a high gain it
+    overshoots, each time farther. With `braking` the gain is multiplied by the share with which each joint could stop
+    at that acceleration when its error is zero. With the scaled error
+    :math:`e = \max_j |(J^+ \Delta x)_j| / \mathrm{braking}_j`
+
+        share = sqrt(2 far - 1)/far,    far = max(Lambda^2 e, 1)
+
+    which is 1 for errors below :math:`\mathrm{braking} / \Lambda^2`. Choose it well below the acceleration of the
+    robot, since the motion along the path needs a part of it.
+
+    The output dq_path is the velocity along the path without feedback, :math:`J^+(q_{start}) (x_{d,1} - x_d)/T`.
+
     A command that acts `delay` samples later is computed for the sample that starts then: set the same `delay` in the
     block that predicts q_start. With `delay_up_to` the input delay_hat is this delay, and the margin of the gain is
     taken for delay_margin + delay_hat samples, so that it does not rely on the prediction; until the delay is
@@ -84,6 +97,8 @@ class SampledTracking(AbstractBlock):
         Margin of the gain from a command to the motion, instead of gamma or Lambda: see above.
     delay_margin : 0, 1, 2, ...
         Margin of the delay from a command to the motion, in samples. The lag of the servo counts.
+    braking : diagonal (n,), rad/s^2, > 0
+        Acceleration with which a correction by Lambda or gain_margin brakes; without it the feedback is linear.
     damping : scalar, m/rad, >= 0
         Damping of the inverse: near a singular pose it limits the joint velocities, and the tool leaves its path.
     delay : 0, 1, ..., 8
@@ -110,12 +125,17 @@ class SampledTracking(AbstractBlock):
         IDENTIFIED,
         PERIOD,
     )
-    outputs = (Output("dq_r", "n", "rad/s"), Output("x_err", "m", "m", optional=True))
+    outputs = (
+        Output("dq_r", "n", "rad/s"),
+        Output("x_err", "m", "m", optional=True),
+        Output("dq_path", "n", "rad/s", optional=True),
+    )
 
     gamma: Scalar | None = Positive("", "rad^2/(m^2 s)", default=None)
     Lambda: Scalar | None = Positive("", "1/s", default=None)
     gain_margin: Scalar | None = Positive(default=None)
     delay_margin: int = Field(1, ge=0)
+    braking: Diagonal | None = Positive("n", "rad/s^2", default=None)
     damping: Scalar = NonNegative("", "m/rad", default=0.01)
     delay: int = Field(0, ge=0, le=MOST_DELAY)
     delay_up_to: int | None = Field(None, ge=1, le=MOST_DELAY)
@@ -124,6 +144,8 @@ class SampledTracking(AbstractBlock):
     def _has_one_gain(self) -> Self:
         gains = ("gamma", "Lambda", "gain_margin")
         check_gain(self, gains, "gamma, by J', and Lambda or gain_margin, by the inverse of J")
+        if self.braking is not None and self.gamma is not None:
+            raise ValueError("expected no braking with gamma, which feeds back through J'; give Lambda or gain_margin")
         return self
 
     def needs(self, port: str) -> bool:
@@ -131,27 +153,36 @@ class SampledTracking(AbstractBlock):
         return needs_delay(self, port) or port in [f"x_d_{k}" for k in range(4, longest(self) + 2)]
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (4)."""
-        x_err, goal = self._goal(u, p)
-        x_goal = named("x_goal", goal)
+        """(1) to (4), and the velocity along the path without feedback."""
+        now, goal = self._points(u)
+        x_err = named("x_err", p.robot.position(u.q_start) - now)
+        x_goal = named("x_goal", goal + self._left(u, p, x_err))
         v_1 = named("v_1", self._newton(u, p, x_goal, u.dq_null))
-        return Equations(outputs={"dq_r": self._newton(u, p, x_goal, v_1), "x_err": x_err})
+        along = self._turned(p, u.q_start, (goal - now) / u.T)
+        return Equations(outputs={"dq_r": self._newton(u, p, x_goal, v_1), "x_err": x_err, "dq_path": along})
 
     def _newton(self, u: Signals, p: Signals, x_goal: SX, v: SX) -> SX:
         """(3) and (4): one Newton step from the average velocity v for the sample that should end at x_goal."""
         q = u.q_start + u.T * v
-        J = p.robot.jacobian(q)
-        damped = J @ J.T + p.damping * p.damping * ca.DM.eye(p.robot.m)
-        return v + J.T @ solve_spd(damped, (x_goal - p.robot.position(q)) / u.T)
+        return v + self._turned(p, q, (x_goal - p.robot.position(q)) / u.T)
 
-    def _goal(self, u: Signals, p: Signals) -> tuple[SX, SX]:
-        """The error, and (1) or (2), for the sample in which the command acts."""
+    def _turned(self, p: Signals, q: SX, dx: SX) -> SX:
+        """The joint velocity of a tool velocity, by the damped inverse of J."""
+        J = p.robot.jacobian(q)
+        return J.T @ solve_spd(J @ J.T + p.damping * p.damping * ca.DM.eye(p.robot.m), dx)
+
+    def _points(self, u: Signals) -> tuple[SX, SX]:
+        """The points of the path at the start and at the end of the sample in which the command acts."""
         path = [getattr(u, name) for name in ("x_d", *(f"x_d_{k}" for k in range(1, longest(self) + 2)))]
-        now, goal = ends_of_sample(self, u, path, names=("x_at", "x_to"))
-        x_err = named("x_err", p.robot.position(u.q_start) - now)
-        if "Lambda" in p:
-            return x_err, goal + (1 - u.T * p.Lambda) * x_err
-        if "gain_margin" in p:
-            return x_err, goal + (1 - gain_at_limit(self, u) / p.gain_margin) * x_err
-        J = p.robot.jacobian(u.q_start)
-        return x_err, goal + x_err - u.T * p.gamma * (J @ (J.T @ x_err))
+        return ends_of_sample(self, u, path, names=("x_at", "x_to"))
+
+    def _left(self, u: Signals, p: Signals, x_err: SX) -> SX:
+        """The error that (1) or (2) leaves at the end of the sample."""
+        if "gamma" in p:
+            J = p.robot.jacobian(u.q_start)
+            return x_err - u.T * p.gamma * (J @ (J.T @ x_err))
+        step = u.T * p.Lambda if "Lambda" in p else gain_at_limit(self, u) / p.gain_margin
+        if "braking" not in p:
+            return (1 - step) * x_err
+        error = named("error_scaled", ca.mmax(ca.fabs(self._turned(p, u.q_start, x_err)) / p.braking))
+        return (1 - step * named("gain_share", braked(error, step / u.T))) * x_err

@@ -133,6 +133,25 @@ def test_a_command_changes_by_at_most_a_max() -> None:
     assert abs(sent[0]) <= 0.5 * T + 1e-12
 
 
+@pytest.mark.parametrize("ramp", [False, True])
+def test_a_path_that_needs_more_than_a_max_gets_it_unless_a_ramp_limits_the_robot(ramp: bool) -> None:
+    most, speed = 0.5, 0.3 * np.sin(4 * T * np.arange(200))  # up to 1.2 rad/s^2
+    block, q, v, states, sent = KIND(a_max=[most]), 0.0, 0.0, start(), list[float]()
+    for wanted in speed:
+        u = {"dq_model": [wanted], "q_model": [q], "slope": [1.0], "epsilon": [0.0], "T": T}
+        item = block.evaluate({**u, "q": [q], "dq_r": [wanted], "dq_path": [wanted]}, states, robot="pendulum")
+        states = dict(item.next)
+        sent.append(float(item.outputs["dq_sent"][0]))
+        v += np.clip(sent[-1] - v, -most * T, most * T) if ramp else sent[-1] - v
+        q += T * v
+    if ramp:
+        assert states["evidence"] < -1e-3
+        assert np.abs(np.diff(sent[20:])).max() == pytest.approx(most * T)
+    else:
+        assert states["evidence"] > 0
+        np.testing.assert_allclose(sent[5:], speed[5:], atol=1e-12)
+
+
 def test_a_model_whose_inverse_is_unstable_keeps_its_weight_by_its_forecasts_alone() -> None:
     """v = (u + b u_before)/(1 + b) - lag: with b > 1 the exact inverse oscillates, and its forecasts are exact."""
     b, lag, peaks = 1.1, 0.05, dict[float, float]()

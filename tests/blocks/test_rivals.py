@@ -15,10 +15,17 @@ from dmframe.catalogue import block_types
 from dmframe.certify import verify
 from dmframe.common.errors import DmframeError
 from dmframe.robot.library import load
+from dmframe.robot.symbolic import tool_position
 
 BLOCKS = block_types()
 PENDULUM = load("pendulum")
+TOOL = tool_position(load("arm2"))
 T = 0.02
+
+
+def tool(q: Any) -> np.ndarray:
+    """Position of the tool of arm2."""
+    return np.array(TOOL(q), dtype=float).ravel()
 
 
 def stepped(block: Any, states: dict[str, Any], q: float, dq_r: float) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -116,6 +123,41 @@ def test_the_gain_from_margins_is_at_the_border_of_stability(margin: int) -> Non
     for wrong in ({"gain_margin": 0.9}, {"Lambda": 3, "delay_margin": 2}, {"Lambda": 3, "gain_margin": 2}):
         with pytest.raises(DmframeError, match="expected"):
             BLOCKS["sampled_tracking"](**wrong)
+
+
+@pytest.mark.parametrize("braking", [None, 0.5])
+def test_joints_with_limited_acceleration_overshoot_without_braking_only(braking: float | None) -> None:
+    """The tool jumps by 0.2 m; joints follow dq_r with at most 1 rad/s^2."""
+    more = {} if braking is None else {"braking": [braking, braking]}
+    block, q, v, errors = BLOCKS["sampled_tracking"](Lambda=20.0, **more), np.array([0.5, 0.9]), np.zeros(2), []
+    goal = np.add(tool(q), [-0.15, 0.1])
+    path = {"x_d": goal, **{f"x_d_{k}": goal for k in (1, 2, 3)}}
+    for _ in range(150):
+        found = block.evaluate({"q_start": q, **path, "T": T}, robot="arm2").outputs
+        v = v + np.clip(np.ravel(found["dq_r"]) - v, -1.0 * T, 1.0 * T)
+        q = q + T * v
+        errors.append((tool(q) - goal) @ (tool([0.5, 0.9]) - goal))
+    beyond = -min(errors) / ((tool([0.5, 0.9]) - goal) @ (tool([0.5, 0.9]) - goal))
+    assert (beyond > 0.3) if braking is None else (beyond < 0.02 and abs(errors[-1]) < 1e-3)
+
+
+def test_braking_leaves_small_errors_to_the_linear_feedback_and_limits_the_acceleration_of_large_ones() -> None:
+    Lambda, most = 200.0, 0.5
+    linear, block = (BLOCKS["sampled_tracking"](Lambda=Lambda, damping=0.0, **g) for g in ({}, {"braking": [most] * 2}))
+    q = np.array([0.5, 0.9])
+
+    def corrected(kind: Any, error: float) -> float:  # joint velocity of the first joint, which alone has that error
+        goal = tool(q - [error, 0.0])
+        path = {"x_d": goal, **{f"x_d_{k}": goal for k in (1, 2, 3)}}
+        return -float(np.ravel(kind.evaluate({"q_start": q, **path, "T": 1e-6}, robot="arm2").outputs["dq_r"])[0])
+
+    edge = most / Lambda**2
+    assert corrected(block, 0.9 * edge) == pytest.approx(corrected(linear, 0.9 * edge), rel=1e-9)
+    for error in (1.5 * edge, 4 * edge, 10 * edge):
+        w, after = corrected(block, error), corrected(block, error * (1 + 1e-4))
+        assert w * (after - w) / (error * 1e-4) == pytest.approx(most, rel=0.02)
+    with pytest.raises(DmframeError, match="expected no braking with gamma"):
+        BLOCKS["sampled_tracking"](gamma=1.0, braking=[1.0])
 
 
 @pytest.mark.parametrize("delay", [0, 2])
