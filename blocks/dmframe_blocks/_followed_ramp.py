@@ -7,7 +7,7 @@ A ramp with the acceleration a_max would turn the commands u into
 The lag u - v of the joints' average velocity v is u - r + s behind it, and s without it, with the servo's own lag s.
 The evidence is the integral of |v - r|^2 - |v - u|^2 over time: with a ramp it falls by |r - u|^2, and rises by that
 without one, if s is small. If the path needs more than a_max by A, |r - u| = A t grows with time, and s lowers the
-evidence by at most 4 s^3/(3 A), until A t = 2 s. A ramp is therefore taken as shown by evidence below -DOUBT.
+evidence by at most 4 s^3/(3 A), until A t = 2 s. A ramp is therefore taken as shown by evidence below -doubt.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dmframe.block import SX, Signals, State, clip, named
 from dmframe_blocks._identified_delay import Delayed, acting
 
 DOUBT: Final = 1e-3
-"""Evidence [rad^2/s] that shows a ramp: more than the lag of 0.09 rad/s of a servo causes with A = 1 rad/s^2."""
+"""Default of `doubt` [rad^2/s]: more than the lag of 0.09 rad/s of a servo causes with A = 1 rad/s^2."""
 
 STATES: Final = (
     State("path_before", "n", "rad/s", sampled=True, optional=True),
@@ -43,7 +43,7 @@ class Limited(NamedTuple):
 def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, lag: SX) -> Limited:
     """The change towards the wished command; `lag` is u - v of the last completed sample.
 
-    Unless the evidence is below -DOUBT, or the delay is unknown, a path that needs more than a half of a_max gets that,
+    Unless the evidence is below -doubt, or the delay is unknown, a path that needs more than a half of a_max gets that,
     and as much again for corrections.
     """
     if "a_max" not in p:
@@ -51,7 +51,7 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, lag:
     room, known = p.a_max * u.T, 1 if block.delay_up_to is None else u.identified
     gap = acting(block, u, x.gaps)[:, 0]
     evidence = named("evidence_new", x.evidence + u.T * ca.dot(gap, gap + 2 * lag))
-    follows = named("follows", known * (ca.sumsqr(x.path_before) > 0) * (evidence >= -DOUBT))
+    follows = named("follows", known * (x.count > 1) * (evidence + p.doubt >= 0))
     needed = named("needed", follows * (u.dq_path - x.path_before))
     more = ca.fmax(room / 2, ca.fabs(needed))
     low, high = ca.fmin(-room, needed - more), ca.fmax(room, needed + more)

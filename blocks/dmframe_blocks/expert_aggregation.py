@@ -92,10 +92,10 @@ class ExpertAggregation(AbstractBlock):
 
         min(-a_max T, D - B)  and  max(a_max T, D + B),    B = max(a_max T/2, |D|)
 
-    with the change D of dq_path, the velocity along the path without feedback; D counts as zero at a start from rest,
+    with the change D of dq_path, the velocity along the path without feedback; D counts as zero in the first two samples,
     and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The motion shows
     this: the evidence is the integral of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope a_max behind
-    the command u. Once it is below -0.001 rad^2/s, D counts as zero.
+    the command u. Once it is below -doubt, D counts as zero.
 
     Parameters
     ----------
@@ -125,6 +125,8 @@ class ExpertAggregation(AbstractBlock):
         Largest command.
     a_max : diagonal (n,), rad/s^2, > 0
         Largest change of a command per second, where the path does not need more; by default it is not limited.
+    doubt : scalar, rad^2/s, > 0
+        Evidence for a ramp above which the command stays within `a_max`.
 
     Notes
     -----
@@ -181,6 +183,7 @@ class ExpertAggregation(AbstractBlock):
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-6)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     a_max: Diagonal | None = Positive("n", "rad/s^2", default=None)
+    doubt: Scalar = Positive("", "rad^2/s", default=_followed_ramp.DOUBT)
 
     @model_validator(mode="after")
     def _has_a_rate(self) -> Self:

@@ -19,7 +19,7 @@ POINTS: Final = 6
 """Number of points at which expressions are compared if they are not shown to be equal exactly."""
 FEW: Final = (0, 2, 3)
 """The points for a docstring without switches."""
-MOST: Final = 100
+MOST: Final = 400
 """Largest number of points drawn while a switch has been covered on one side only."""
 ALL_SIZES: Final = 16
 """Number of points that cover every power of ten of `_POWERS` with both signs."""

@@ -16,8 +16,8 @@ class Terminal(io.StringIO):
 
 
 def test_a_live_page_shows_its_steps_in_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.page.page.content_of", lambda *_: {})  # steps that take seconds
-    monkeypatch.setattr("dmframe.page.page.assembled", lambda _: "a page")
+    monkeypatch.setattr("dmframe.page.page.content_of", lambda *_: {"rivals": []})  # steps that take seconds
+    monkeypatch.setattr("dmframe.page.page.assembled", lambda *_: "a page")
     graph = dm.load("pendulum")
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     assert graph.page(periods=False).html == "a page"
