@@ -93,9 +93,9 @@ class ExpertAggregation(AbstractBlock):
         min(-a_max T, D - B)  and  max(a_max T, D + B),    B = max(a_max T/2, |D|)
 
     with the change D of dq_path, the velocity along the path without feedback; D counts as zero in the first two
-    samples, and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The motion shows
-    this: the evidence is the integral of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope a_max behind
-    the command u. Once it is below -doubt, D counts as zero.
+    samples, and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The
+    motion shows this: the evidence is the integral of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope
+    a_max behind the command u. Once it is below -doubt, D counts as zero.
 
     Parameters
     ----------
