@@ -295,6 +295,53 @@ def attacks() -> Iterator[tuple[str, dict[str, Any], str]]:
     yield "a matrix of full rank that is zero", data, "believed"
 
 
+def _circular(*, nominal: str) -> dict[str, Any]:
+    """A true identity with two estimates a and b; the rate of a is that of the symbol `nominal`, plus its correction.
+
+    V = (a^2 + b^2 + x^2) / 2, da/dt = nominal + c_a, db/dt = c_a + c_b, dx/dt = -x - (a nominal + b c_a) / x.
+    """
+    labels = ("a", "b", "x", "a, correction", "b, correction")
+    kinds = ("state", "state", "state", "projection", "projection")
+    names = ("input", "const", "add", "mul", "div", "neg", "sub")
+    one = {label: place for place, label in enumerate(labels)}
+    # 0..4 the symbols; 5: 0, 6: 1, 7: -9, 8: 9
+    rows = [(0, k, 0) for k in range(5)] + [(1, k, 0) for k in range(4)]
+    rows += [(2, one[nominal], 3), (2, 3, 4)]  # 9: da/dt, 10: db/dt
+    rows += [(3, 0, one[nominal]), (3, 1, 3), (2, 11, 12), (4, 13, 2), (5, 2, 2), (6, 15, 14)]  # 16: dx/dt
+    vectors = [[1, [k]] for k in (0, 1, 2, 5, 6, 7, 8, 9, 10, 16)]
+
+    def term(role: str, vector: int) -> dict[str, Any]:
+        parts = {"vector": vector, "weight": 4}
+        return {"name": f"{role} {vector}", "level": "", "role": role, "rule": "square", "parts": parts}
+
+    def projection(label: str, place: int) -> dict[str, Any]:
+        own = {"state": label, "correction": f"{label}, correction", "set": "box"}
+        return {"term": place, **own, "true": 3, "lower": 5, "upper": 6}
+
+    code, a, b = (list(column) for column in zip(*rows, strict=True))
+    return {
+        "format": "dmframe-certificate",
+        "version": 1,
+        "about": {},
+        "over": "flow",
+        "symbols": [{"label": x, "kind": kind, "size": 1} for x, kind in zip(labels, kinds, strict=True)],
+        "numbers": {},
+        "program": {"operations": names, "code": code, "a": a, "b": b, "constants": ["0", "1", "-9", "9"]},
+        "vectors": vectors,
+        "rates": {"a": 7, "b": 8, "x": 9},
+        "terms": [term("stored", 0), term("stored", 1), term("stored", 2), term("dissipated", 2)],
+        "projections": [projection("a", 0), projection("b", 1)],
+        "conclusions": [{"signal": "da/dt", "says": "is bounded", "assumes": [], "vector": 7}],
+    }
+
+
+def test_corrections_that_depend_on_one_another_have_no_bound() -> None:
+    assert checker().check(_circular(nominal="a"))["conclusions"] == ["da/dt is bounded"]
+    found = checker().check(_circular(nominal="b, correction"))
+    assert found["conclusions"] == []
+    assert "da/dt is bounded" in found["believed"]
+
+
 def test_side_conditions_are_checked() -> None:
     for what, data, expected in attacks():
         found, reason = outcome(data)
