@@ -5,7 +5,8 @@ A ramp with the acceleration a_max would turn the commands u into
     r = r + clip(u - r, -a_max T, a_max T)
 
 A servo lags behind its command, as a ramp does, and the lag is not known. So the average velocity v of each joint is
-compared with those of filters 1/(1 + tau s), for each tau of `LAGS`, once with the input u and once with r. The sums
+compared with those of filters 1/(1 + tau s), for tau = 0 and each of `RATIOS` times the parameter `lag`, once with the
+input u and once with r. The sums
 
     S_u(tau) = integral of |v - F_tau u|^2 over time,    S_r(tau) = integral of |v - F_tau r|^2
 
@@ -30,8 +31,10 @@ from dmframe_blocks._identified_delay import Delayed, acting
 DOUBT: Final = 1e-3
 """Default of `doubt` [rad^2/s]: an error of 0.03 rad/s over a second, for example by friction or an encoder."""
 
-LAGS: Final = (0.0125, 0.025, 0.05, 0.1, 0.2)
-"""Time constants tau of the filters [s], and 0: those of P-PI cascades without feed-forward are 1/k_p, 0.03 to 0.2."""
+LAG: Final = 0.0125
+"""Default of `lag` [s]."""
+RATIOS: Final = (1, 2, 4, 8, 16)
+"""Time constants of the filters, relative to `lag`: up to 0.2 s; that of a P-PI cascade without feed-forward is 1/k_p."""
 
 STATES: Final = (
     State("path_before", "n", "rad/s", sampled=True, optional=True),
@@ -46,7 +49,7 @@ STATES: Final = (
 """Velocity along the path, the output r of the ramp, its differences r - u in the queue of commands, the states of the
 filters with u and with r, S_u and S_r, and the evidence."""
 
-SIZES: Final = {"B": len(LAGS), "S": len(LAGS) + 1}
+SIZES: Final = {"B": len(RATIOS), "S": len(RATIOS) + 1}
 """B: filters with a state; S: sums, the first one of tau = 0."""
 
 
@@ -67,7 +70,8 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
     if "a_max" not in p:
         return Limited(wished - x.queue[:, -1], {}, {})
     room, known = p.a_max * u.T, 1 if block.delay_up_to is None else u.identified
-    filters, sums, evidence = _compared(u, x, acted, acting(block, u, x.gaps)[:, 0], known)
+    gap = acting(block, u, x.gaps)[:, 0]
+    filters, sums, evidence = _compared(u, x, p, acted, acted + gap, known)
     follows = named("follows", known * (x.count > 1) * (evidence + p.doubt >= 0))
     needed = named("needed", follows * (u.dq_path - x.path_before))
     more = ca.fmax(room / 2, ca.fabs(needed))
@@ -80,28 +84,28 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
 
 
 def _compared(
-    u: Signals, x: Signals, acted: SX, gap: SX, known: SX | int
+    u: Signals, x: Signals, p: Signals, acted: SX, ramped: SX, known: SX | int
 ) -> tuple[Mapping[str, SX], Mapping[str, SX], SX]:
     """The states of the filters, the sums, and the evidence after a sample; filters begin at the joints' velocity."""
     v, filters, sums = named("v_sample", (u.q - x.q_before) / u.T), dict[str, SX](), dict[str, SX]()
-    for state, total, sent in (("lagged", "missed_u", acted), ("lagged_ramp", "missed_r", acted + gap)):
+    for state, total, sent in (("lagged", "missed_u", acted), ("lagged_ramp", "missed_r", ramped)):
         held = getattr(x, state)
-        filters[state] = known * filtered(held, sent, u.T) + (1 - known) * ca.repmat(v, 1, len(LAGS))
-        sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, u.T), v))
+        filters[state] = known * filtered(held, sent, u.T / p.lag) + (1 - known) * ca.repmat(v, 1, len(RATIOS))
+        sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, u.T / p.lag), v))
     evidence = named("evidence_new", ca.sum1(least(sums["missed_r"]) - least(sums["missed_u"])))
     return filters, sums, evidence
 
 
 @operation
-def filtered(held: Any, sent: Any, T: Any) -> Any:
-    """The states of the filters 1/(1 + tau s) of each joint after a sample of that command, a column for each tau."""
-    return ca.horzcat(*(sent + (held[:, k] - sent) * ca.exp(-T / tau) for k, tau in enumerate(LAGS)))
+def filtered(held: Any, sent: Any, ratio: Any) -> Any:
+    """The states of the filters of each joint after a sample of that command, a column for each; ratio is T/lag."""
+    return ca.horzcat(*(sent + (held[:, k] - sent) * ca.exp(-ratio / each) for k, each in enumerate(RATIOS)))
 
 
 @operation
-def averages(held: Any, sent: Any, T: Any) -> Any:
+def averages(held: Any, sent: Any, ratio: Any) -> Any:
     """The average outputs of the filters over a sample; the first column is the command itself."""
-    share = [(1 - ca.exp(-T / tau)) * tau / T for tau in LAGS]
+    share = [(1 - ca.exp(-ratio / each)) * each / ratio for each in RATIOS]
     return ca.horzcat(sent, *(sent + (held[:, k] - sent) * each for k, each in enumerate(share)))
 
 
