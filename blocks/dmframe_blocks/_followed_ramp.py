@@ -34,7 +34,7 @@ DOUBT: Final = 1e-3
 LAG: Final = 0.0125
 """Default of `lag` [s]."""
 RATIOS: Final = (1, 2, 4, 8, 16)
-"""Time constants of the filters, relative to `lag`: up to 0.2 s; that of a P-PI cascade without feed-forward is 1/k_p."""
+"""Time constants of the filters, relative to `lag`; that of a cascade without feed-forward is 1/k_p."""
 
 STATES: Final = (
     State("path_before", "n", "rad/s", sampled=True, optional=True),
