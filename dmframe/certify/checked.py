@@ -42,10 +42,10 @@ class Checked:
         True if the value must be positive; otherwise it may be zero.
     margin
         Expression in the claim's symbols whose least element is `value`, for an evaluation at other numbers of the same
-            loop; empty if the graph's numbers do not matter, None if the condition is not the sign of an expression.
+        loop; empty if the graph's numbers do not matter, None if the condition is not the sign of an expression.
     reads
         Without a margin: all parameters and all symbols of initial values (`Claim.starts`) on which the result depends.
-            A condition that is met has a margin or this list.
+        A condition that is met has a margin or this list.
     begun
         Quantity that must be positive at the start, if the condition depends on initial values.
     sufficient

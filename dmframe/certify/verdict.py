@@ -37,9 +37,9 @@ class Verdict:
     ----------
     outcome
         ``proved``: the identity holds for all values of its symbols, every condition is met at the graph's numbers, and
-            every seeded fault was refuted; with `bounds`, it is proved up to a bounded residual. ``refuted``: the
-            identity is false. ``not_applicable``: there is nothing to prove, or a condition fails; `reason` gives the
-            reason.
+        every seeded fault was refuted; with `bounds`, it is proved up to a bounded residual. ``refuted``: the
+        identity is false. ``not_applicable``: there is nothing to prove, or a condition fails; `reason` gives the
+        reason.
     test
         The exact test, with its error bound.
     states
