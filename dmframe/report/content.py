@@ -11,6 +11,7 @@ from dmframe.block.parameter import specs
 from dmframe.block.prose import About, about
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
+from dmframe.certify.error_bound import ErrorBounds
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
 from dmframe.common.text import Text, text_of
@@ -123,6 +124,8 @@ class Content:
         See `dmframe.results.folder.provenance`.
     resolved
         The graph with all defaults written out, as YAML.
+    errors
+        Bounds on the tracking errors of a proved graph.
     own
         Further sections, which the caller of the report gave.
     """
@@ -150,6 +153,7 @@ class Content:
     provenance: Mapping[str, Any]
     replay: str
     resolved: str
+    errors: ErrorBounds | None = None
     own: tuple[Section, ...] = ()
 
 
@@ -206,6 +210,7 @@ def gather(
         provenance=provenance(graph, resolved, field_hash=diagram.fingerprint, seed=seed, command=command),
         replay=shlex.join(command),
         resolved=resolved,
+        errors=verdict.errors if verdict.outcome == "proved" else None,
     )
 
 
