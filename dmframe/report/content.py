@@ -202,7 +202,7 @@ def gather(
         follows=tuple(_follows(verdict.statements)) if verdict.outcome == "proved" else (),
         controls=tuple((control.fault.marked, control.refuted) for control in verdict.controls),
         witness=_witness(verdict),
-        uncertain=tuple((label, str(ends)) for label, ends in graph.file.uncertain.items()),
+        uncertain=tuple((label, _interval_text(ends)) for label, ends in graph.file.uncertain.items()),
         measured=measure(graph, verdict, tell),
         linear=linear_view(graph, tell),
         model=robot_model(diagram.robot),
@@ -274,6 +274,10 @@ def _follows(statements: Sequence[Statement]) -> list[Follows]:
         )
         for (says, step, _), items in grouped.items()
     ]
+
+
+def _interval_text(ends: Any) -> str:
+    return f"one factor for all elements, {ends['factor']}" if isinstance(ends, Mapping) else str(ends)
 
 
 def _witness(verdict: Verdict) -> Witness | None:
