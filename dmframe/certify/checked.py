@@ -99,6 +99,7 @@ class Numbers:
         given = {label: values for label, values in uncertain.items() if not label.startswith(START)}
         self.values, self._p = values | given, claim.loop.parameters
         self.uncertain = frozenset(label for label in given if tie_of(label) is None)
+        self.stated = tuple(label for label in uncertain if tie_of(label) is None or all(tie_of(label) or ()))
         self._columns = [stack([p.symbol]) for p in self._p]
 
     @cached_property

@@ -31,7 +31,6 @@ from dmframe.certify.smoothness import Examiner
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of, vanishing_of
 from dmframe.certify.states import sampled_states
 from dmframe.certify.symbols import Symbols, symbols_of
-from dmframe.certify.uncertain import FACTOR
 from dmframe.certify.verdict import Outcome, Verdict
 from dmframe.common.copies import shared
 from dmframe.common.errors import ValueFault
@@ -212,7 +211,7 @@ def _verified(
         states=found.states,
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=found.bounds,
-        uncertain=tuple(label for label in uncertain if not label.endswith(FACTOR)),
+        uncertain=numbers.stated,
     )
 
 

@@ -123,8 +123,8 @@ def is_graph(document: Document) -> bool:
 def _with_uncertain(document: Document, graph: Graph, fixed: Sequence[str]) -> Document:
     """The study, with the graph's section `uncertain` instead of its empty `sample`.
 
-    Each element is drawn uniformly from its interval, independent of the others, also where the section confines a ratio
-    or has one factor for all elements; labels that the study sets are not drawn.
+    Each element is drawn uniformly from its interval, independent of the others, also where the section confines a
+    ratio or has one factor for all elements; labels that the study sets are not drawn.
     """
     from dmframe.certify.uncertain import tie_of
 
