@@ -22,7 +22,7 @@ globalThis.checker = (() => {
   const UNARY = "sin cos tanh atan sqrt exp log fabs sign floor not".split(" ");
   const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
   const ASSUMED = [
-    "signals have the names of the file; its rates and next values are those of the loop that runs",
+    "names, rates and next values are those of the loop that runs",
     "divisors, and arguments of roots and logarithms, stay away from 0",
   ];
 
@@ -124,10 +124,7 @@ globalThis.checker = (() => {
     reads(nodes) { return new Set(this.slice(nodes).filter((k) => this.op[k] === INPUT).map((k) => this.a[k])); }
     built(k, x, y) {
       const op = this.op[k];
-      if (op === ADD) return this.add(x, y);
-      if (op === SUB) return this.sub(x, y);
-      if (op === MUL) return this.mul(x, y);
-      return op === INV ? this.inv(x) : op < CALL ? k : this.call(this.name(k), x, y);
+      return op < ADD ? k : op < CALL ? this[["add", "sub", "mul", "inv"][op - ADD]](x, y) : this.call(this.name(k), x, y);
     }
     // The same nodes with other inputs.
     replaced(nodes, input) {
@@ -162,9 +159,8 @@ globalThis.checker = (() => {
       if (name === "sin") return this.call("cos", x);
       if (name === "cos") return this.neg(this.call("sin", x));
       if (name === "tanh") return this.sub(ONE, this.mul(k, k));
-      if (name === "atan") return this.inv(this.add(ONE, this.mul(x, x)));
-      if (name === "sqrt") return this.inv(this.add(k, k));
-      return name === "exp" ? k : name === "log" ? this.inv(x) : NONE;
+      const divisor = { "atan": this.add(ONE, this.mul(x, x)), "sqrt": this.add(k, k), "log": x }[name];
+      return name === "exp" ? k : divisor ? this.inv(divisor) : NONE;
     }
     dot(x, y) {
       need(x.length === y.length, "sizes");
@@ -211,26 +207,24 @@ globalThis.checker = (() => {
     return x;
   };
   const at = (items, k) => items[whole(k, 0, items.length)];
-  const list = (x, text) => (Array.isArray(x) ? x : fail(`${text}: expected a list`));
+  const list = (x) => (Array.isArray(x) ? x : fail("expected a list"));
 
   class Certificate {
     constructor(data) {
-      need(data.format === "dmframe-certificate", "no certificate");
-      need(data.version === 2, "version: expected 2; write the file again");
-      need(data.over === "flow" || data.over === "sample", "unknown over");
+      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "expected a dmframe-certificate of version 2");
       this.samples = data.over === "sample";
       const lists = { ...LISTS, ...(this.samples ? SAMPLE : FLOW) };
       keys(data, "the file", TOP + Object.keys(lists).join(" "));
       for (const name of Object.keys({ ...FLOW, ...SAMPLE })) this[name] = [];
-      for (const name of Object.keys(lists)) this[name] = list(data[name], name).map((item) => keys(item, name, ...lists[name]));
+      for (const name of Object.keys(lists)) this[name] = list(data[name]).map((item) => keys(item, name, ...lists[name]));
       this.graph = new Graph();
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
-      need(this.places.size === this.symbols.length, "a symbol: found twice");
+      need(this.places.size === this.symbols.length, "a label twice");
       this.known = new Map(); // intervals of input nodes
       this.fixed = this.symbols.filter((item) => item.values).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
       const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
-      this.rows = list(data.vectors, "vectors").map(([rows]) => rows);
+      this.rows = list(data.vectors).map(([rows]) => rows);
       this.vectors = data.vectors.map(([, elements]) => elements.map((k) => at(nodes, k + 1)));
       this.assumed = data.assumed.map(String);
       this.moves = new Map(Object.entries(data.rates).map(([label, k]) => {
@@ -248,7 +242,7 @@ globalThis.checker = (() => {
       const { label, kind, size, values, numbers } = item, found = values?.map((x) => [x, x]) ?? numbers;
       need(typeof label === "string" && KINDS.includes(kind), `${label}: its kind`);
       need(whole(size) === 1 || !["time", "weight", "period"].includes(kind), `${label}: its size`);
-      need(!found || (kind === "parameter" && list(found, label).length === size), `${label}: its numbers`);
+      need(!found || (kind === "parameter" && list(found).length === size), `${label}: its numbers`);
       found?.forEach((pair, k) => {
         const ends = pair.map(rational);
         need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its numbers`);
@@ -256,9 +250,9 @@ globalThis.checker = (() => {
       });
     }
     readProgram({ operations, constants, code, a, b }) {
-      const g = this.graph, numbers = list(constants, "constants").map(rational), nodes = [];
-      need([a, b].every((x) => list(x, "program").length === code.length), "program: columns of one length");
-      list(code, "code").forEach((k, i) => {
+      const g = this.graph, numbers = list(constants).map(rational), nodes = [];
+      need([a, b].every((x) => list(x).length === code.length), "sizes");
+      list(code).forEach((k, i) => {
         const name = at(operations, k);
         if (name === "const") nodes.push(g.number(at(numbers, a[i])));
         else if (name === "input") nodes.push(g.input(a[i], whole(b[i], 0, at(this.symbols, a[i]).size)));
@@ -273,11 +267,10 @@ globalThis.checker = (() => {
     readTerm(item) {
       need(Object.hasOwn(ROLES, item.role) && ROLES[item.role].includes(item.rule), `${item.name}: unknown rule ${item.rule} of a ${item.role} term`);
       keys(item.parts, item.name, PARTS[item.rule]);
-      need(item.level === "" || this.symbol(item.level).kind === "weight", `${item.name}: its level`);
-      need(item.rule !== "monotone" || ["tanh", "atan"].includes(item.phi), `${item.name}: unknown function`);
       const parts = Object.fromEntries(Object.entries(item.parts).map(([name, k]) => [name, this.vector(k)]));
-      need(!this.samples || (item.rule === "square" && !item.level && item.role !== "cross"), `${item.name}: over samples`);
-      return { ...item, ...parts, level: item.level, weightOf: item.level ? this.inputs(item.level)[0] : ONE };
+      const level = item.level === "" || this.symbol(item.level).kind === "weight", known = item.rule !== "monotone" || ["tanh", "atan"].includes(item.phi);
+      need(level && known && (!this.samples || (item.rule === "square" && !item.level && item.role !== "cross")), `${item.name}: its level or function`);
+      return { ...item, ...parts, weightOf: item.level ? this.inputs(item.level)[0] : ONE };
     }
     symbol(label) { return this.symbols[this.places.get(label) ?? fail(`unknown symbol ${label}`)]; }
     inputs(label) { return Array.from({ length: this.symbol(label).size }, (_, k) => this.graph.input(this.places.get(label), k)); }
@@ -441,7 +434,7 @@ globalThis.checker = (() => {
     const state = of.inputs(name), moved = [], [floor] = part.floor;
     need(of.symbol(name).kind === "state" && part.floor.length === 1, `${name}: its steps`);
     let end = 0;
-    list(sizes, name).forEach((n, j) => {
+    list(sizes).forEach((n, j) => {
       const piece = (x) => x.slice(end, end + whole(n, 1)), gain = piece(part.gain);
       let theta = piece(state);
       for (let k = 0; k < rows; k++) {
@@ -491,7 +484,7 @@ globalThis.checker = (() => {
     let value = 0n;
     for (let k = 0; k < count; k += 32) {
       if (used === words.length) {
-        (globalThis.crypto ?? require("crypto").webcrypto).getRandomValues(words);
+        crypto.getRandomValues(words);
         used = 0;
       }
       value = (value << 32n) | BigInt(words[used++]);
@@ -508,7 +501,7 @@ globalThis.checker = (() => {
   function randomPrime(size) {
     for (;;) {
       const n = bits(size) | (1n << BigInt(size - 1)) | 1n;
-      if ([3n, 5n, 7n, 11n, 13n, 17n, 19n, 23n, 29n, 31n].some((x) => n % x === 0n)) continue;
+      if ([3n, 5n, 7n, 11n].some((x) => n % x === 0n)) continue;
       let odd = n - 1n, twos = 0, k = 0;
       for (; !(odd & 1n); odd >>= 1n) twos++;
       const passes = () => {
@@ -654,12 +647,11 @@ globalThis.checker = (() => {
     }
     inside(name, lower, true_, upper) {
       const estimate = this.of.inputs(name), [low, high] = [lower, upper].map((k) => this.bounds(spread(this.of.vector(k), estimate.length)));
-      if (!low || !high) refute(`${name}: its box`);
-      if (low.some((x, k) => less(high[k][0], x[1]))) refute(`${name}: its box`);
+      if (!low || !high || low.some((x, k) => less(high[k][0], x[1]))) refute(`${name}: its box`);
       const value = this.bounds(spread(this.of.vector(true_), estimate.length));
       if (!value) this.assumed.push(`${name}: its true value is inside the box`);
       estimate.forEach((node, k) => {
-        if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value is outside`);
+        if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value`);
         this.boxes.set(node, [low[k][0], high[k][1]]);
       });
     }
@@ -701,8 +693,9 @@ globalThis.checker = (() => {
         if (box) this.inside(estimate, parts.lower, parts.true, parts.upper);
       }
       for (const item of of.conditions) {
-        if (item.margin == null || !of.vector(item.margin).length || !this.bounds(of.vector(item.margin))) this.assumed.push(`condition: ${item.name}`);
-        else if (this.sign(of.vector(item.margin)) < (item.strict === false ? 0 : 1)) refute(`condition: ${item.name}`);
+        const margin = item.margin == null ? [] : of.vector(item.margin), text = `condition: ${item.name}`;
+        if (!margin.length || !this.bounds(margin)) this.assumed.push(text);
+        else if (this.sign(margin) < (item.strict === false ? 0 : 1)) refute(text);
       }
       return strict;
     }
@@ -711,13 +704,12 @@ globalThis.checker = (() => {
     kappa(strict) {
       const { of } = this, g = of.graph, groups = [];
       for (const { term, by } of of.cross) {
-        const c = of.term(term, "cross"), used = new Set(by.map(([, k]) => of.term(k, "dissipated"))), n = c.vector.length, level = by.length && of.term(by[0][1], "dissipated").level;
-        need(used.size === by.length && by.length && [...used].every((item) => item.level === level), "a cross term");
-        need(!c.level && c.weight.length === 1, "a cross term");
-        if (![...used].every((item) => strict.has(item))) refute("nothing dominates a cross term");
-        const ratios = by.map(([share, k]) => {
-          const W = spread(of.term(k, "dissipated").weight, n);
-          return spread(of.vector(share), n).map((x, i) => g.div(g.mul(c.weight[0], g.mul(x, x)), W[i]));
+        const c = of.term(term, "cross"), squares = by.map(([, k]) => of.term(k, "dissipated")), used = new Set(squares), n = c.vector.length, level = squares[0]?.level;
+        need(level !== undefined && used.size === by.length && squares.every((item) => item.level === level) && !c.level && c.weight.length === 1, "a cross term");
+        if (!squares.every((item) => strict.has(item))) refute("nothing dominates a cross term");
+        const ratios = squares.map((item, j) => {
+          const W = spread(item.weight, n);
+          return spread(of.vector(by[j][0]), n).map((x, i) => g.div(g.mul(c.weight[0], g.mul(x, x)), W[i]));
         });
         const bounds = this.bounds(transposed(ratios).map((x) => g.total(x))) ?? refute("nothing dominates a cross term");
         const largest = most(bounds.map((x) => x[1]));
@@ -939,6 +931,7 @@ globalThis.checker = (() => {
 })();
 
 if (typeof module === "object" && typeof require === "function") {
+  globalThis.crypto ??= require("crypto").webcrypto;
   module.exports = globalThis.checker;
   if (require.main === module) {
     const paths = process.argv.slice(2).filter((x) => x !== "--json");

@@ -32,9 +32,9 @@ NAMES: Final = (
     "computed_torque",
     "lesson_q_r_is_q_d",
     "torque_direct_pi",
+    "ur10_slow_repetitive",
     "theorem_1",
     "ur10_fast",
-    "ur10_slow_repetitive",
 )
 KINDS: Final = ("parameter", "constant", "weight", "state", "trajectory", "projection", "time", "command", "noise")
 FUNCTIONS: Final[dict[str, Any]] = {
@@ -311,17 +311,15 @@ def judged(task: tuple[str, int]) -> tuple[str, str]:
     found = result(data)
     if found["status"] != "re-proved":
         return found["status"], where
-    if path[0] in ("about", "assumed") or path[-1] in ("name", "signal", "assumes", "says") or "assumes" in path:
+    if (
+        path[0] in ("about", "assumed")
+        or path[-1] in ("name", "signal", "assumes", "assumed", "says")
+        or "assumes" in path
+    ):
         shown = {**found, "log2_error": 0, "points": 0} != {**accepted(name), "log2_error": 0, "points": 0}
-        item = original["conclusions"][path[1]] if path[0] == "conclusions" else {}
-        silent = (
-            path[0] == "about"
-            or "estimate" in item
-            or "assumes" in path
-            or (path[0] in ("terms", "conditions") and path[-1] == "name")
-        )
         if path[-1] != "says":
-            return ("a text, which the result shows" if shown else "a text" if silent else "FALSE"), where
+            hidden = not shown and (path[0] == "assumed" or path[-1] == "assumed")
+            return ("FALSE" if hidden else "a text, which the result shows" if shown else "a text"), where
     try:
         if same(data, original, Fraction(found["kappa_above"] or 0)):
             return "an equal function", where
@@ -338,7 +336,9 @@ def judged(task: tuple[str, int]) -> tuple[str, str]:
 
 def main(count: int, names: Sequence[str] = NAMES) -> int:
     """Judge this many changes, in all processors; print the counts, and what is false."""
-    tasks = [(names[k % len(names)], k // len(names)) for k in range(count)]
+    large = count // 25  # of each of the last two, which take five times as long
+    tasks = [(name, seed) for name in names[-2:] for seed in range(large)]
+    tasks += [(names[k % (len(names) - 2)], k // (len(names) - 2)) for k in range(count - len(tasks))]
     counts = Counter[str]()
     with ProcessPoolExecutor(2) as pool:
         for outcome, where in pool.map(judged, tasks, chunksize=50):
