@@ -23,7 +23,7 @@ globalThis.checker = (() => {
   const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
   const ASSUMED = [
     "names, rates and next values are those of the loop that runs",
-    "divisors, and arguments of roots and logarithms, stay away from 0",
+    "divisors and arguments of roots and logarithms stay away from 0",
   ];
 
   // ---- Rational numbers [numerator, denominator > 0], and intervals [lower, upper] of them
@@ -32,7 +32,7 @@ globalThis.checker = (() => {
     if (d < 0n) [n, d] = [-n, -d];
     let [a, b] = [n < 0n ? -n : n, d];
     while (b) [a, b] = [b, a % b];
-    if (d / a > BIG || n / a > BIG || n / a < -BIG) throw new Undecided("a number is too long");
+    if (d / a > BIG || n / a > BIG || n / a < -BIG) throw new Undecided("too large");
     return [n / a, d / a];
   }
   const sum = (x, y) => fraction(x[0] * y[1] + y[0] * x[1], x[1] * y[1]);
@@ -64,7 +64,7 @@ globalThis.checker = (() => {
   }
 
   function rational(text) {
-    need(typeof text === "string" && text.length < 4000 && /^-?\d+(\/0*[1-9]\d*)?$/.test(text), `expected a fraction, found ${text}`);
+    need(typeof text === "string" && text.length < 4000 && /^-?\d+(\/0*[1-9]\d*)?$/.test(text), `no fraction: ${text}`);
     const [n, d] = text.split("/");
     return fraction(BigInt(n), BigInt(d ?? 1));
   }
@@ -203,15 +203,15 @@ globalThis.checker = (() => {
     return item;
   }
   const whole = (x, from = 0, to = LARGEST) => {
-    need(Number.isSafeInteger(x) && from <= x && x < to, `expected a number below ${to}`);
+    need(Number.isSafeInteger(x) && from <= x && x < to, `no number below ${to}: ${x}`);
     return x;
   };
   const at = (items, k) => items[whole(k, 0, items.length)];
-  const list = (x) => (Array.isArray(x) ? x : fail("expected a list"));
+  const list = (x) => (Array.isArray(x) ? x : fail("no list"));
 
   class Certificate {
     constructor(data) {
-      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "expected a dmframe-certificate of version 2");
+      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "no certificate of version 2");
       this.samples = data.over === "sample";
       const lists = { ...LISTS, ...(this.samples ? SAMPLE : FLOW) };
       keys(data, "the file", TOP + Object.keys(lists).join(" "));
@@ -219,7 +219,7 @@ globalThis.checker = (() => {
       for (const name of Object.keys(lists)) this[name] = list(data[name]).map((item) => keys(item, name, ...lists[name]));
       this.graph = new Graph();
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
-      need(this.places.size === this.symbols.length, "a label twice");
+      need(this.places.size === this.symbols.length, "a symbol twice");
       this.known = new Map(); // intervals of input nodes
       this.fixed = this.symbols.filter((item) => item.values).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
@@ -240,12 +240,11 @@ globalThis.checker = (() => {
     }
     readSymbol(item) {
       const { label, kind, size, values, numbers } = item, found = values?.map((x) => [x, x]) ?? numbers;
-      need(typeof label === "string" && KINDS.includes(kind), `${label}: its kind`);
-      need(whole(size) === 1 || !["time", "weight", "period"].includes(kind), `${label}: its size`);
-      need(!found || (kind === "parameter" && list(found).length === size), `${label}: its numbers`);
+      need(typeof label === "string" && KINDS.includes(kind) && (whole(size) === 1 || !["time", "weight", "period"].includes(kind)) &&
+        (!found || (kind === "parameter" && list(found).length === size)), `${label}: its kind, size or numbers`);
       found?.forEach((pair, k) => {
         const ends = pair.map(rational);
-        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its numbers`);
+        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its kind, size or numbers`);
         this.known.set(this.graph.input(this.places.get(label), k), ends);
       });
     }
@@ -269,7 +268,7 @@ globalThis.checker = (() => {
       keys(item.parts, item.name, PARTS[item.rule]);
       const parts = Object.fromEntries(Object.entries(item.parts).map(([name, k]) => [name, this.vector(k)]));
       const level = item.level === "" || this.symbol(item.level).kind === "weight", known = item.rule !== "monotone" || ["tanh", "atan"].includes(item.phi);
-      need(level && known && (!this.samples || (item.rule === "square" && !item.level && item.role !== "cross")), `${item.name}: its level or function`);
+      need(level && known && (!this.samples || (item.rule === "square" && !item.level && item.role !== "cross")), `${item.name}: its role`);
       return { ...item, ...parts, weightOf: item.level ? this.inputs(item.level)[0] : ONE };
     }
     symbol(label) { return this.symbols[this.places.get(label) ?? fail(`unknown symbol ${label}`)]; }
@@ -346,7 +345,7 @@ globalThis.checker = (() => {
       total = g.sub(total, g.mul(term.weightOf, g.dot(weighted(g, term.weight, term.vector), correction)));
       const true_ = of.vector(item.true), without = g.replaced(of.next(name), (k) => (correction.includes(k) ? ZERO : k));
       found.push([`the error of ${name}`, g.minus(term.vector, g.minus(estimate, spread(true_, estimate.length)))]);
-      found.push([`the rate of the true value of ${name}`, of.exactRates(true_)]);
+      found.push([`the rate of ${name}`, of.exactRates(true_)]);
       found.push([`the rate of ${name}`, g.minus(g.minus(of.next(name), without), correction)]);
     }
     for (const { term, by } of of.cross) { // a = sum_j share_j v_j
@@ -355,7 +354,7 @@ globalThis.checker = (() => {
         const v = of.term(k, "dissipated").vector, factor = spread(of.vector(share), v.length);
         left = g.minus(left, v.map((x, i) => g.mul(x, factor[i])));
       }
-      found.push(["the vector of a cross term", left]);
+      found.push(["a cross term", left]);
     }
     for (const item of of.masses) found.push(...robot(of, item));
     for (const item of of.steps) found.push(...stepsOf(of, item));
@@ -371,7 +370,7 @@ globalThis.checker = (() => {
     const rotors = item.rotors == null ? Array(n).fill(ZERO) : spread(of.vector(item.rotors), n);
     const zero = Array(n).fill(ZERO), still = [zero, zero, zero, zero];
     const [dq, ddq, gravity, torque] = motion ? ["velocity", "acceleration", "gravity", "torque"].map((name) => of.vector(motion[name])) : still;
-    need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "a chain: sizes");
+    need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "sizes");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
     const rows = (column) => [0, 1, 2].map((i) => [0, 1, 2, 3].map((j) => (column ? (j === 3 ? g.neg(column[i]) : ZERO) : i === j ? ONE : ZERO)));
@@ -392,9 +391,9 @@ globalThis.checker = (() => {
     rotors.forEach((x, i) => { M[i][i] = g.add(M[i][i], x); });
     const found = [["the mass matrix", g.minus(weight, M.flat())]];
     if (motion) {
-      of.constant([...moves, ...inertia, ...rotors], "a chain of bodies");
-      found.push(["the robot's equation of motion", g.minus(sums.map((x, i) => g.add(x, g.mul(rotors[i], ddq[i]))), torque)]);
-      found.push(["the robot's velocity", g.minus(of.exactRates(q), dq)], ["the robot's acceleration", g.minus(of.exactRates(dq), ddq)]);
+      of.constant([...moves, ...inertia, ...rotors], "inertia");
+      found.push(["torque", g.minus(sums.map((x, i) => g.add(x, g.mul(rotors[i], ddq[i]))), torque)]);
+      found.push(["velocity", g.minus(of.exactRates(q), dq)], ["acceleration", g.minus(of.exactRates(dq), ddq)]);
     }
     return found;
   }
@@ -454,12 +453,12 @@ globalThis.checker = (() => {
   // The height is log2 of the sum of absolute coefficients. Bound D + H of the numerators that must vanish, and of those
   // that must not: of all divisors, and of the differences of all arguments of one function.
   function degrees(g, nodes) {
-    const found = new Map(), callers = {}, size = (n) => n.toString(2).length, add = (x) => x.reduce((a, b) => a + b, 0);
+    const found = new Map(), callers = {}, add = (x) => x.reduce((a, b) => a + b, 0);
     let total = 0;
     for (const k of g.slice(nodes)) {
       const op = g.op[k], [x, y] = g.operands(k).map((x) => found.get(x));
       let own = [1, 0, 0, 0];
-      if (op === NUMBER) own = g.numbers[g.a[k]].flatMap((n) => [0, size(n)]);
+      if (op === NUMBER) own = g.numbers[g.a[k]].flatMap((n) => [0, n.toString(2).length]);
       else if (op === ADD || op === SUB) own = [Math.max(x[0] + y[2], y[0] + x[2]), Math.max(x[1] + y[3], y[1] + x[3]) + 1, x[2] + y[2], x[3] + y[3]];
       else if (op === MUL) own = x.map((a, i) => a + y[i]);
       else if (op === INV) {
@@ -479,17 +478,14 @@ globalThis.checker = (() => {
   // ---- Prime fields
 
   const words = new Uint32Array(4096);
-  let used = words.length;
+  let used = 4096;
   function bits(count) {
     let value = 0n;
     for (let k = 0; k < count; k += 32) {
-      if (used === words.length) {
-        crypto.getRandomValues(words);
-        used = 0;
-      }
+      if (used === 4096) used = crypto.getRandomValues(words) && 0;
       value = (value << 32n) | BigInt(words[used++]);
     }
-    return value & ((1n << BigInt(count)) - 1n);
+    return BigInt.asUintN(count, value);
   }
   const below = (p, size) => bits(size + 96) % p;
   function powered(x, n, p) {
@@ -550,8 +546,8 @@ globalThis.checker = (() => {
         case INPUT: return this.given.get(k) ?? this.random();
       }
       const name = g.name(k), mirrored = x && p - x, even = x < mirrored ? x : mirrored;
-      if (this.frozen && BOUNDED.includes(name)) return /^(sin|cos)$/.test(name) ? this.turned(`circle of ${g.a[k]}`, name, 1n) : this.random();
-      if (name === "sin" || name === "cos") return x ? this.turned(`circle at ${even}`, name, x) : BigInt(name === "cos");
+      if (this.frozen && BOUNDED.includes(name)) return /^(sin|cos)$/.test(name) ? this.turned(`of ${g.a[k]}`, name, 1n) : this.random();
+      if (name === "sin" || name === "cos") return x ? this.turned(`at ${even}`, name, x) : BigInt(name === "cos");
       if (name === "fabs") return this.memo(`fabs ${even}`);
       return this.memo(`${name} ${x} ${UNARY.includes(name) ? "" : y}`);
     }
@@ -587,7 +583,7 @@ globalThis.checker = (() => {
   function identity(of) {
     const found = equalities(of), all = [...found, [0, of.vectors.flat()]].flatMap(([, nodes]) => nodes);
     const total = Math.log2(degrees(of.graph, all)), size = SIZES.find((size) => total + 3 - size < -64);
-    need(size, "the degree is too high");
+    need(size, "too large");
     const error = 3 + total - size;
     let points = 0;
     for (let tried = 0; points * error > WANTED; tried++) {

@@ -38,7 +38,7 @@ UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
 BINARY = set("fmin fmax lt le eq and if_else_zero atan2".split())
 ASSUMED = (
     "names, rates and next values are those of the loop that runs",
-    "divisors, and arguments of roots and logarithms, stay away from 0",
+    "divisors and arguments of roots and logarithms stay away from 0",
 )
 
 
