@@ -73,14 +73,14 @@ def test_the_program_of_a_page_has_less_than_12_kb() -> None:
 
 
 def test_a_script_is_shortened_without_a_change_of_its_texts() -> None:
-    script = '''
+    script = """
 // a comment
 const total = (first, second) => first - -second; // another one
 const text = (item) => `first: ${total(item.count, 2)} // ${/^(a b)$/.test("x  y")}` + "first // count" + item.length;
-'''
+"""
     found = shortened(script, frozenset({"text"}))
     assert found == (
-        "const d=(first,e)=>first- -e;const text=(c)=>`first: ${d(c.count, 2)} // ${/^(a b)$/.test(\"x  y\")}`"
+        'const d=(first,e)=>first- -e;const text=(c)=>`first: ${d(c.count, 2)} // ${/^(a b)$/.test("x  y")}`'
         '+"first // count"+c.length;'
     )
 
