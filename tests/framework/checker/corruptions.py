@@ -334,13 +334,13 @@ def judged(task: tuple[str, int]) -> tuple[str, str]:
     return "another true statement", where
 
 
-def main(count: int, names: Sequence[str] = NAMES) -> int:
-    """Judge this many changes, in all processors; print the counts, and what is false."""
+def main(count: int, processes: int = 2, names: Sequence[str] = NAMES) -> int:
+    """Judge this many changes; print the counts, and what is false."""
     large = count // 25  # of each of the last two, which take five times as long
     tasks = [(name, seed) for name in names[-2:] for seed in range(large)]
     tasks += [(names[k % (len(names) - 2)], k // (len(names) - 2)) for k in range(count - len(tasks))]
     counts = Counter[str]()
-    with ProcessPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(processes) as pool:
         for outcome, where in pool.map(judged, tasks, chunksize=50):
             counts[outcome] += 1
             if outcome == "FALSE":
@@ -351,4 +351,4 @@ def main(count: int, names: Sequence[str] = NAMES) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000))
+    sys.exit(main(*map(int, sys.argv[1:] or [1000])))
