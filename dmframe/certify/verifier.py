@@ -184,7 +184,7 @@ def _verified(
         with shared(jobs, busy=True, small=alone) as finished:
             done = cache(finished)
             if examiner is None:
-                found = _in_discrete_time(claim, symbols, numbers, start, seed, lambda: done()[: len(rows)])
+                found = _in_discrete_time(claim, exact, symbols, numbers, start, seed, lambda: done()[: len(rows)])
             else:
                 found = _in_continuous_time(claim, symbols, numbers, start, seed, examiner)
             controls, nothing, *others = done()[len(rows) :]
@@ -262,6 +262,7 @@ def _in_continuous_time(
 
 def _in_discrete_time(
     claim: Claim,
+    exact: data.Claim,
     symbols: Symbols,
     numbers: Numbers,
     start: Mapping[str, Any],
@@ -269,7 +270,7 @@ def _in_discrete_time(
     rows: Callable[[], Sequence[Compared | Assumption]],
 ) -> _Found:
     stated = list(discrete_conditions(claim, numbers, start))
-    assumed = tuple(discrete_assumptions(claim, symbols, seed))
+    assumed = tuple(discrete_assumptions(claim, exact, symbols, seed))
     statements, states = tuple(discrete_statements(claim)), sampled_states(claim, numbers, seed)
     reached = tuple(reach_conditions(claim))
     conditions, assumptions = sorted_out([*stated, *(explained(claim, item) for item in rows())])
