@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
+from functools import partial, wraps
 from typing import Any
 
 import casadi as ca
@@ -19,26 +20,30 @@ _MOST = 256
 
 
 def placed(chain: SerialChain, numbers: Iterable[Fraction]) -> tuple[Any, ...]:
-    """Structure of the robot: kinds of the joints, and numbers that are 0 or +-1, which are not symbols."""
-    return (*(joint.kind for joint in chain.joints), *(int(x) if x in (0, 1, -1) else None for x in numbers))
+    """Structure of the robot: task axes, kinds of the joints, and numbers that are 0 or +-1, which are not symbols."""
+    return (chain.axes, *(joint.kind for joint in chain.joints), *(int(x) if x in (0, 1, -1) else None for x in numbers))
 
 
-def repeated(
-    recursion: Callable[..., Any], placed: tuple[Any, ...], given: Sequence[Any], constants: Sequence[Any]
-) -> Any:
-    """Apply `recursion` to the arguments `given`, operation by operation.
+def traced(recursion: Callable[..., Any]) -> Callable[..., Any]:
+    """A method of a robot model as a recursion that is traced, and applied to its arguments operation by operation.
 
-    Parameters
-    ----------
-    placed
-        Structure on which the recursion depends, in addition to the zeros and constants of its arguments; if empty, the
-        recursion is not traced.
-    given
-        Arguments; constants remain constants.
-    constants
-        Columns of further symbols that it reads.
+    The model has the `constants` that the method reads, and `placed`, the structure on which it depends in addition to
+    the zeros and constants of its arguments; if that is empty, the method is not traced. A last argument may be None.
     """
-    if not placed or not all(isinstance(item, ca.SX) for item in given):
+
+    @wraps(recursion)
+    def applied(robot: Any, *arguments: Any) -> Any:
+        given = [item for item in arguments if item is not None]
+        constants = [constant.symbol for constant in robot.constants]
+        return _replayed(partial(recursion, robot), (recursion.__name__, robot.placed), given, constants)
+
+    return applied
+
+
+def _replayed(
+    recursion: Callable[..., Any], placed: tuple[str, tuple[Any, ...]], given: Sequence[Any], constants: Sequence[Any]
+) -> Any:
+    if not placed[1] or not all(isinstance(item, ca.SX) for item in given):
         return recursion(*given)
     fixed = [item.is_constant() for item in given]
     pairs = list(zip(given, fixed, strict=True))

@@ -1,7 +1,8 @@
-"""Inverse dynamics repeated by CasADi, compared with the recursion in Python, operation by operation, and Pinocchio."""
+"""Recursions repeated by CasADi, compared with the recursion in Python, operation by operation, and Pinocchio."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -34,6 +35,10 @@ def arguments(n: int) -> dict[str, tuple[Any, ...]]:
     }
 
 
+def untraced(method: str) -> Any:
+    return getattr(SymbolicRobot, method).__wrapped__
+
+
 @pytest.mark.parametrize("name", ["arm2", "ur5", "panda"])
 @pytest.mark.parametrize("share", [1, 0, ca.SX.sym("share")])
 def test_the_expressions_are_those_of_the_recursion(name: str, share: Any) -> None:
@@ -42,9 +47,8 @@ def test_the_expressions_are_those_of_the_recursion(name: str, share: Any) -> No
         robot = SymbolicRobot(chain)
         for what, (q, dq, dq_ref, ddq_ref) in arguments(robot.n).items():
             found = robot.inverse_dynamics(q, dq, dq_ref, ddq_ref, gravity_share=share)
-            plain = dq_ref is dq
-            expected = robot._torque(plain, q, dq, ddq_ref, robot.inertia, ca.SX(share), dq_ref)
-            assert same_expression(found, expected), what
+            given = (q, dq, ddq_ref, robot.inertia, ca.SX(share), *(() if dq_ref is dq else (dq_ref,)))
+            assert same_expression(found, untraced("_torque")(robot, *given)), what
     assert len(recursion._TRACED) == len(arguments(2)) - 2  # expressions have the zeros of all; some constants, none
 
 
@@ -55,7 +59,20 @@ def test_other_zeros_and_constants_are_stated_again() -> None:
     for value in (1.0, 2.0):
         moved = robot.inverse_dynamics(q, dq, zero, ca.SX([value, 0]))
         assert not same_expression(moved, still)
-        assert same_expression(moved, robot._torque(False, q, dq, ca.SX([value, 0]), robot.inertia, ca.SX(1), zero))
+        assert same_expression(moved, untraced("_torque")(robot, q, dq, ca.SX([value, 0]), robot.inertia, ca.SX(1), zero))
+
+
+@pytest.mark.parametrize("name", ["arm2", "ur5", "panda"])
+@pytest.mark.parametrize("method", ["position", "jacobian", "mass_matrix"])
+def test_kinematics_and_mass_matrix_are_those_of_the_recursion(name: str, method: str) -> None:
+    chain = load(name)
+    for axes in (chain.axes, ("z", "x")):
+        robot = SymbolicRobot(replace(chain, axes=axes))
+        q = ca.SX.sym("q", robot.n)
+        own = () if method == "mass_matrix" else (ca.SX.sym("a_k", robot.k),)
+        for given in ((q,), (2 * q, *own)):
+            found = getattr(robot, method)(*given)
+            assert same_expression(found, untraced(method)(robot, *given))
 
 
 @pytest.mark.parametrize(("one", "other"), [("ur5", "ur10"), ("ur10", "panda")])
