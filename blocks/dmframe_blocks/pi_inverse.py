@@ -154,6 +154,7 @@ class PiInverse(AdaptingBlock):
             estimates={"w": w, "w_I": w_I},
             dissipation=(Square(sigma, K_star + truth.B),),
             dominates=(1,),
+            disturbed=(1,),
             supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma) - ca.dot(u.e_f, filtered),
             linear=(
                 StableLinear(

@@ -183,6 +183,7 @@ class PidInverse(AdaptingBlock):
             },
             dissipation=(Square(s, K_star + B), Square(e, K * M_bar * p.K_c)),
             dominates=(1,) if self.tie == "velocity" else (1, p.K_c),
+            disturbed=(1, p.K_c),
             supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
             linear=(
                 StableLinear(

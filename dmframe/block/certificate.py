@@ -144,6 +144,9 @@ class Certificate(Expressions):
     dominates
         For the block that dominates a cross term: elementwise coefficients with which the vector of that term is the
         sum of the vectors of the first dissipated squares; empty for other blocks.
+    disturbed
+        For that block: elementwise coefficients with which the vector that a joint torque multiplies in dS/dt, sigma,
+        is the sum of the vectors of the first dissipated squares. Bounds on the error use it; empty if not stated.
     task
         The block belongs to the task level: its storage has the weight 1, that of the servo level has kappa.
     truth
@@ -183,6 +186,7 @@ class Certificate(Expressions):
     supply: SX = 0
     consumes: Consumed | None = None
     dominates: tuple[SX, ...] = ()
+    disturbed: tuple[SX, ...] = ()
     task: bool = False
     truth: Mapping[str, SX] = field(default_factory=dict)
     residual: tuple[Bounded, ...] = ()
@@ -212,7 +216,7 @@ class Certificate(Expressions):
 
 _MAPPED: Final = (
     *("storage", "dissipation", "residual", "errors", "linear", "estimates", "barriers", "steps", "delay_lines"),
-    *("plant", "acted", "solved", "supply", "consumes", "dominates"),
+    *("plant", "acted", "solved", "supply", "consumes", "dominates", "disturbed"),
 )
 """The fields with expressions of signals."""
 
@@ -242,7 +246,8 @@ def former_fields(kind: type[Any]) -> None:
 
     kind.__init__ = accepting
     for former in renamed:
-        setattr(kind, former, property(functools.partial(read, former=former)))
+        documented = f"Former name of `{renamed[former]}`."
+        setattr(kind, former, property(functools.partial(read, former=former), doc=documented))
 
 
 former_fields(Certificate)

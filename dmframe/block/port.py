@@ -104,7 +104,7 @@ class Output(Signal):
         that replace one signal form a chain in the order of the file.
     rounded_by
         Of an output with `instead_of`: the parameter with the steps to which that input is rounded,
-            step floor(input / step + 1/2), as by an encoder. `analyse` uses the mean of the rounding and reports it; it
+        step floor(input / step + 1/2), as by an encoder. `analyse` uses the mean of the rounding and reports it; it
         treats any other rounding as a switch.
     notice
         Of an output that is zero in normal operation, the notice printed for a run in which it is not zero.
@@ -192,9 +192,8 @@ class State:
         of its inverse.
     bodies
         Of a state that starts with the inertial parameters of the robot's links, ten per link: name of the parameter
-        with
-            the fraction of the nominal pseudo-inertia that is the lower bound of each link's pseudo-inertia, if there
-            is one.
+        with the fraction of the nominal pseudo-inertia that is the lower bound of each link's pseudo-inertia, if there
+        is one.
     nominal
         Of a state with `bodies`, the input with the nominal estimates, which must be constant.
     optional

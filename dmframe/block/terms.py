@@ -34,8 +34,8 @@ class Square(Expressions):
         Printed name of a; the framework derives it from the expression, and blocks do not set it.
     positive
         Of a weight that contains signals: the reason why it stays above a positive constant along the motion. The graph
-            cannot show this, so it is an assumption with this text. Factors of the weight made of parameters are
-            checked.
+        cannot show this, so it is an assumption with this text. Factors of the weight made of parameters are
+        checked.
     """
 
     vector: SX

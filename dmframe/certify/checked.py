@@ -16,6 +16,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certify.begun import START, Begun
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import exact_values
+from dmframe.certify.uncertain import tie_of
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import stack
@@ -42,10 +43,10 @@ class Checked:
         True if the value must be positive; otherwise it may be zero.
     margin
         Expression in the claim's symbols whose least element is `value`, for an evaluation at other numbers of the same
-            loop; empty if the graph's numbers do not matter, None if the condition is not the sign of an expression.
+        loop; empty if the graph's numbers do not matter, None if the condition is not the sign of an expression.
     reads
         Without a margin: all parameters and all symbols of initial values (`Claim.starts`) on which the result depends.
-            A condition that is met has a margin or this list.
+        A condition that is met has a margin or this list.
     begun
         Quantity that must be positive at the start, if the condition depends on initial values.
     sufficient
@@ -66,13 +67,27 @@ class Checked:
 
 
 @final
+@dataclass(frozen=True)
+class _Tie:
+    """A parameter that is a product: of a ratio and another parameter, or of a factor and its own value.
+
+    `symbols`: the new symbols in the product, with their values.
+    """
+
+    parameter: SX
+    product: SX
+    symbols: tuple[tuple[SX, Sequence[Number]], ...]
+
+
+@final
 class Numbers:
     """Exact values of expressions in parameters only, at the graph's numbers or over its intervals.
 
     Parameters
     ----------
     uncertain
-        Intervals by ``block.parameter``, and of initial values by ``start.block.state``.
+        Intervals by ``block.parameter``, of initial values by ``start.block.state``, and of ratios and factors of
+        parameters (`dmframe.certify.uncertain`), which `of` and `enclosed` use.
     """
 
     def __init__(self, claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> None:
@@ -82,9 +97,31 @@ class Numbers:
             label.removeprefix(START): given for label, given in uncertain.items() if label.startswith(START)
         }
         given = {label: values for label, values in uncertain.items() if not label.startswith(START)}
-        self.values, self.uncertain = values | given, frozenset(given)
-        self._p = claim.loop.parameters
+        self.values, self._p = values | given, claim.loop.parameters
+        self.uncertain = frozenset(label for label in given if tie_of(label) is None)
+        self.stated = tuple(label for label in uncertain if tie_of(label) is None or all(tie_of(label) or ()))
         self._columns = [stack([p.symbol]) for p in self._p]
+
+    @cached_property
+    def _ties(self) -> tuple[_Tie, ...]:
+        """Ratios of parameters, then factors, which may be those of a ratio's second parameter."""
+        columns = {p.label: column for p, column in zip(self._p, self._columns, strict=True)}
+        own, found = exact_values(self.claim.diagram), list[_Tie]()
+        for label, given in self.values.items():
+            first, second = tie_of(label) or ("", "")
+            symbol = ca.SX.sym(label, len(given))
+            if second:
+                found.append(_Tie(columns[first], symbol * columns[second], ((symbol, given),)))
+            elif first:
+                value = ca.SX.sym(f"own {first}", columns[first].numel())
+                found.append(_Tie(columns[first], symbol * value, ((symbol, given), (value, own[first]))))
+        return tuple(sorted(found, key=lambda tie: len(tie.symbols)))
+
+    def tied(self, expression: SX) -> SX:
+        """The expression with parameters that depend on each other replaced by products; see `uncertain`."""
+        for tie in self._ties:
+            expression = ca.substitute(expression, tie.parameter, tie.product)
+        return expression
 
     @cached_property
     def known(self) -> set[int]:
@@ -93,7 +130,7 @@ class Numbers:
 
     def of(self, expression: SX) -> list[Number]:
         """Elements of an expression, dense; raises `ValueFault` if it depends on more than parameters."""
-        joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
+        joined = self.tied(ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0])))
         symbols = ca.symvar(joined)
         try:  # faster than a function of all parameters
             given = [self._elements[symbol.element_hash()] for symbol in symbols]
@@ -106,10 +143,13 @@ class Numbers:
     @cached_property
     def _elements(self) -> Mapping[int, Number]:
         """Values of the parameters by the identities of their symbols."""
+        columns = [(p.label, column) for p, column in zip(self._p, self._columns, strict=True)]
+        pairs = [(column, self.values[label]) for label, column in columns]
+        pairs += [pair for tie in self._ties for pair in tie.symbols]
         return {
             symbol.element_hash(): value
-            for p, column in zip(self._p, self._columns, strict=True)
-            for symbol, value in zip(ca.vertsplit(column), self.values[p.label], strict=True)
+            for column, values in pairs
+            for symbol, value in zip(ca.vertsplit(column), values, strict=True)
         }
 
     @cached_property
@@ -118,17 +158,28 @@ class Numbers:
         parameters = [parameter.symbol for parameter in self._p if parameter.label in self.uncertain]
         return symbols_in([*parameters, *(self.claim.starts[label] for label in self.starts)])
 
+    @cached_property
+    def given(self) -> tuple[list[SX], list[Sequence[Number]]]:
+        """Columns of symbols that a margin may contain, and their values: parameters, ties, starts with intervals."""
+        tied = [pair for tie in self._ties for pair in tie.symbols]
+        columns = [
+            *self._columns,
+            *(symbol for symbol, _ in tied),
+            *(self.claim.starts[label] for label in self.starts),
+        ]
+        values = [*(self.values[p.label] for p in self._p), *(each for _, each in tied), *self.starts.values()]
+        return columns, values
+
     def enclosed(self, expression: SX) -> list[Number]:
         """Enclosures of the elements of an expression in parameters and initial values with intervals, any operations.
 
         Raises `UndecidedError` if none is found, `ValueFault` if the expression contains other symbols.
         """
-        joined = ca.vec(ca.densify(expression))
-        columns = [*self._columns, *(self.claim.starts[label] for label in self.starts)]
+        joined = self.tied(ca.vec(ca.densify(expression)))
+        columns, given = self.given
         function = ca.Function("value", columns, [joined], {"allow_free": True})
         if function.has_free():
             raise ValueFault("expected an expression in parameters and starts alone")
-        given = [*(self.values[p.label] for p in self._p), *self.starts.values()]
         try:
             return evaluate(function, given)[0]
         except (ValueFault, ZeroDivisionError):

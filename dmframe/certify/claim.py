@@ -60,7 +60,7 @@ class Part:
     ----------
     certificate
         Its terms, with measured and commanded signals substituted; those of `certificate.plant` and `certificate.acted`
-            as functions of the plant's own signals, for free commands.
+        as functions of the plant's own signals, for free commands.
     cascade
         True if the block is on the task level.
     lemma

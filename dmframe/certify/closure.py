@@ -63,7 +63,7 @@ class Closure:
     anywhere
         If true, parameters have random values, so that the results are valid at almost all numbers; otherwise the
         graph's
-            own values, except for those in intervals.
+        own values, except for those in intervals.
     zeros
         Labels of parameters that are zero.
     """

@@ -139,10 +139,15 @@ def _keeps_rank(name: Text) -> Text:
 
 def _parts(item: Vanishing, R: SX, size: int) -> Iterator[Vanishing]:
     """Parts, of a given length, of the least-squares solutions of R' w = z for vanishing z."""
-    width = R.shape[1]
-    for first in range(0, item.vector.numel() - width + 1, width):
-        whole = solve_spd(R @ R.T, R @ item.vector[first : first + width])
+    for whole in solutions(R, item.vector):
         yield from (Vanishing(item.of, whole[k : k + size], item.proved) for k in range(whole.numel() - size + 1))
+
+
+def solutions(R: SX, z: SX) -> Iterator[SX]:
+    """Least-squares solutions w of R' w = z, for each piece of z with as many elements as R has columns."""
+    width = R.shape[1]
+    for first in range(0, z.numel() - width + 1, width):
+        yield solve_spd(R @ R.T, R @ z[first : first + width])
 
 
 def full_rank(claim: Claim) -> Iterator[tuple[Text, SX]]:
@@ -179,6 +184,12 @@ class Combinations:
             return False
         columns = [[points[0][column * rows + row] for column in range(width)] for row in range(rows)]
         return bool(rank(columns, self._trial.prime) == rows)
+
+    def is_part(self, target: SX, whole: SX) -> bool:
+        """True if the target is made of parts of a vector, each of the target's size."""
+        size = target.numel()
+        parts = [Vanishing(Text("part"), whole[k : k + size], True) for k in range(whole.numel() - size + 1)]
+        return self.made_of(target, parts) is not None
 
     def made_of(self, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
         """Names of the vectors of which the target is a combination with constant coefficients, element by element."""

@@ -75,7 +75,7 @@ def parameter_margins(
         Intervals used by `verify`.
     starts
         Labels, ``block.state``, of states whose initial values vary, as with a graph's key `start`. Margins contain
-            their symbols, ``claim.starts[label]``. All other initial values are those of the graph.
+        their symbols, ``claim.starts[label]``. All other initial values are those of the graph.
     """
     if claim is None:
         return []

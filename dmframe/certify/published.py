@@ -15,25 +15,26 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.block.certificate import SX, Lemma, Square, StableLinear
+from dmframe.block.certificate import SX, Lemma, Potential, Square, StableLinear, soft_clip
 from dmframe.block.model import symbols_in
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import body_matrix, is_matrix
-from dmframe.certify.limits import full_rank
+from dmframe.certify.limits import Combinations, full_rank, solutions
 from dmframe.certify.statements import linear_subsystems, signals_of
 from dmframe.certify.symbols import exact_values, symbols_of
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
 from dmframe.diagram.projection import Box
 from dmframe.diagram.view import view
+from dmframe.exact import MERSENNE_127
 from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
 from dmframe.prove.columns import by_columns
 
 FORMAT: Final = "dmframe-certificate"
-VERSION: Final = 1
+VERSION: Final = 2
 
 ROLES: Final = {"stored": "stored", "dissipation": "dissipated", "residual": "residual"}
 """Role in the file, by the role in the claim."""
@@ -111,12 +112,12 @@ class _Writer:
         found["assumed"] = [str(item.text) for item in self._verdict.assumptions]
         symbols, program, vectors = by_columns(claim, self._used, self._labels(claim))
         exact = exact_values(of.diagram)
-        numbers: dict[str, list[Any]] = {label: [str(x) for x in values] for label, values in exact.items()}
+        numbers = {label: [[str(x)] * 2 for x in values] for label, values in exact.items()}
         numbers |= {label: [[str(x.lower), str(x.upper)] for x in given] for label, given in self._uncertain.items()}
-        labels = {item["label"] for item in symbols if item["kind"] == "parameter"}
-        found |= {"symbols": symbols, "program": program, "vectors": vectors}
-        found["numbers"] = {label: values for label, values in numbers.items() if label in labels}
-        return found
+        for item in symbols:
+            if item["kind"] == "parameter" and item["label"] in numbers and "values" not in item:
+                item["numbers"] = numbers[item["label"]]
+        return found | {"symbols": symbols, "program": program, "vectors": vectors}
 
     def _vector(self, name: str, expression: Any) -> str:
         """Enter an expression as an output of the program; return its name."""
@@ -230,9 +231,7 @@ class _Writer:
         if not of.over_samples:
             found["masses"] = list(self._masses())
             found["linear"] = [self._linear(item) for _, item in linear_subsystems(of) if not item.inputs]
-            found["ranks"] = [
-                {"name": str(name), "matrix": self._vector(f"{name}, full rank", R)} for name, R in full_rank(of)
-            ]
+            found["ranks"] = list(self._ranks())
         found["conclusions"] = self._conclusions()
         return found
 
@@ -320,6 +319,32 @@ class _Writer:
             "rates": [[self._vector("rate", rate) for rate in joined(list(map(ca.SX, row)))] for row in item.rates],
         }
 
+    def _ranks(self) -> Iterator[dict[str, Any]]:
+        """Matrices R of full row rank, with vectors b that go to zero since R'b does: errors, their forces in a
+        potential, or solutions of R'b = z.
+        """
+        signals = signals_of(self._of)
+        ends = [item for item in self._verdict.statements if item.says == "goes to zero" and item.signal in signals]
+        field = Combinations(self._of, MERSENNE_127, 0, frozenset(self._uncertain))
+        widths = {
+            term.of: term.width
+            for part in self._of.parts
+            for term in part.certificate.storage
+            if isinstance(term, Potential)
+        }
+        for name, R in full_rank(self._of):
+            used = [item for item in ends if f"{name} keeps full row rank, uniformly" in map(str, item.assumes)]
+            matrix = self._vector(f"{name}, full rank", R) if used else ""
+            for item in used:
+                b, size = [signals[item.signal]], signals[item.signal].numel()
+                if size != R.shape[0]:
+                    vanishing = [signals[other.signal] for other in ends if other not in used]
+                    b = [x for z in vanishing for x in solutions(R, z) if field.is_part(signals[item.signal], x)]
+                elif item.signal in widths:
+                    b = [soft_clip(b[0], widths[item.signal])]
+                for vector in b:
+                    yield {"name": str(name), "matrix": matrix, "vector": self._vector(f"{name}, vanishing", vector)}
+
     def _condition(self, item: Checked) -> dict[str, Any]:
         """A condition: the vector whose elements decide it, or only its text."""
         found: dict[str, Any] = {"name": str(item.name)}
@@ -349,33 +374,15 @@ class _Writer:
             {
                 "rule": item.rule,
                 "estimate": f"{part.block}.{item.estimate}",
-                "memory": f"{part.block}.{item.memory}" if item.memory else "",
                 "sizes": list(item.sizes),
                 "rows": item.rows,
                 "box": item.box,
-                "parts": {name: self._id(out) for name, out in item.parts.items()},
+                "parts": {name: self._id(out) for name, out in item.parts.items() if name != "theta"},
             }
             for part in claim.parts
             for item in part.steps
         ]
-        lines = [
-            {
-                "state": f"{part.block}.{item.state}",
-                "newest": self._id(item.newest),
-                "before": self._id(item.before),
-                "when": None if item.when is None else self._id(item.when),
-            }
-            for part in claim.parts
-            for item in part.lines
-        ]
-        plant = [
-            {"momentum": self._id(item.momentum), "rest": self._id(item.rest)}
-            for part in claim.parts
-            for item in part.plant
-        ]
-        between = {label: self._id(out) for label, out in claim.plant_moves.items()} if plant else {}
-        solved = [self._id(out) for part in claim.parts for out in part.solved]
-        return {"steps": steps, "lines": lines, "plant": plant, "between": between, "solved": solved}
+        return {"steps": steps}
 
     def _labels(self, claim: data.Claim) -> set[str]:
         """Labels that the file's statements name."""

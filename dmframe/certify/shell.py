@@ -69,6 +69,20 @@ def shell_of(robot: Any) -> Shell | None:
     )
 
 
+def largest_jacobian(chain: Any) -> float | None:
+    r"""Upper bound of the norm of the position Jacobian at all joint positions [m/rad]; None with a prismatic joint.
+
+    Column j is at most as long as the chain from joint j to the tool, :math:`r_j = \sum_{i \ge j} l_i`, and
+    :math:`|J|^2 \le \sum_j r_j^2`.
+    """
+    walked = _walked(chain)
+    if walked is None or len(walked.slides) or not walked.turns:
+        return None
+    lengths = [float(np.linalg.norm(offset)) for offset in walked.offsets[1:]]
+    reaches = np.cumsum(lengths[::-1])
+    return (1 + ROUNDING) * float(np.linalg.norm(reaches))
+
+
 @final
 @dataclass(frozen=True)
 class _Walked:

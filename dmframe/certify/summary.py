@@ -8,6 +8,7 @@ from typing import Any
 
 from dmframe.block.certificate import Clipped, InformationSquare, Lemma, LogDet, NormSquare, Potential, Square
 from dmframe.certify.claim import Claim
+from dmframe.certify.error_bound import ErrorBound
 from dmframe.certify.verdict import Verdict
 from dmframe.exact.rational import as_float
 
@@ -47,6 +48,8 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         "statements": [_picked(item, "signal says step assumes concludes") for item in verdict.statements],
         "states": None if verdict.states is None else _picked(verdict.states, "bounded unfelt open"),
         "fixed": list(verdict.fixed),
+        "bounds": [] if verdict.errors is None else list(map(_error_bound, verdict.errors.found)),
+        "bounds_missing": [] if verdict.errors is None else list(verdict.errors.missing),
         "notices": [],
         "mutants": {
             "tried": len(verdict.controls),
@@ -63,6 +66,15 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
             "point": {label: [str(x) for x in values] for label, values in verdict.refutation.point},
         },
         "time": {"build": verdict.build, "check": verdict.check},
+    }
+
+
+def _error_bound(bound: ErrorBound) -> dict[str, Any]:
+    return {
+        **_picked(bound, "signal kind over_s value unit disturbance"),
+        "dominated_by": bound.dominated_by.of,
+        "lowered_by": list(bound.dominated_by.lowered_by),
+        "holds": bound.holds,
     }
 
 

@@ -9,6 +9,7 @@ from typing import Final, Literal, final
 from dmframe.block.certificate import Assumption
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
+from dmframe.certify.error_bound import ErrorBounds
 from dmframe.certify.explained import UNCHECKED
 from dmframe.certify.residual import Bound, total_bound
 from dmframe.certify.small_gain import Kappa
@@ -37,9 +38,9 @@ class Verdict:
     ----------
     outcome
         ``proved``: the identity holds for all values of its symbols, every condition is met at the graph's numbers, and
-            every seeded fault was refuted; with `bounds`, it is proved up to a bounded residual. ``refuted``: the
-            identity is false. ``not_applicable``: there is nothing to prove, or a condition fails; `reason` gives the
-            reason.
+        every seeded fault was refuted; with `bounds`, it is proved up to a bounded residual. ``refuted``: the
+        identity is false. ``not_applicable``: there is nothing to prove, or a condition fails; `reason` gives the
+        reason.
     test
         The exact test, with its error bound.
     states
@@ -50,6 +51,8 @@ class Verdict:
         Parameters with intervals over which the conditions are met, by label.
     bounds
         Bounds on the residual of dV/dt, term by term; none for a claim without a residual.
+    errors
+        Bounds on the tracking errors; None if they were not computed.
     build, check
         Seconds for writing V and dV/dt, and for the decisions.
     exact
@@ -70,6 +73,7 @@ class Verdict:
     fixed: tuple[str, ...] = ()
     uncertain: tuple[str, ...] = ()
     bounds: tuple[Bound, ...] = ()
+    errors: ErrorBounds | None = None
     build: float = 0.0
     check: float = 0.0
     exact: data.Claim | None = None

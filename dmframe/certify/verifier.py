@@ -211,7 +211,7 @@ def _verified(
         states=found.states,
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=found.bounds,
-        uncertain=tuple(uncertain),
+        uncertain=numbers.stated,
     )
 
 

@@ -16,13 +16,12 @@ globalThis.checker = (() => {
   const refute = (text) => { throw new Refuted(text); };
 
   const WANTED = -300, SIZES = [149, 269, 521], LARGEST = 1 << 22, BIG = 1n << 20000n;
-  const CONSTANT = ["parameter", "weight", "constant", "stepping"];
-  const KINDS = [...CONSTANT, "time", "state", "trajectory", "projection", "period", "noise", "command"];
+  const CONSTANT = ["parameter", "weight", "constant", "stepping"], GIVEN = ["trajectory", "period", "noise", "command"];
+  const KINDS = [...CONSTANT, ...GIVEN, "time", "state", "projection"];
   const BOUNDED = "sin cos tanh atan atan2 sign lt le eq ne not and or erf".split(" ");
-  const UNARY = ("sin cos tanh atan sqrt exp log fabs sign floor ceil not tan asin acos sinh cosh asinh acosh atanh erf " +
-    "erfinv expm1 log1p").split(" ");
-  const CALLS = [...UNARY, ..."pow constpow fmin fmax lt le eq ne and or if_else_zero atan2 hypot copysign fmod remainder".split(" ")];
-  const BELIEVED = [
+  const UNARY = "sin cos tanh atan sqrt exp log fabs sign floor ceil not tan asin acos sinh cosh asinh acosh erf".split(" ");
+  const CALLS = [...UNARY, ..."fmin fmax lt le eq ne and or if_else_zero atan2 hypot copysign fmod remainder pow".split(" ")];
+  const ASSUMED = [
     "signals have the names of the file; its rates and next values are those of the loop that runs",
     "divisors, and arguments of roots and logarithms, stay away from 0",
   ];
@@ -103,16 +102,7 @@ globalThis.checker = (() => {
     inv(x) { return x === ONE ? ONE : this.node(INV, x); }
     div(x, y) { return this.mul(x, this.inv(y)); }
     neg(x) { return this.sub(ZERO, x); }
-    call(name, x, y = 0) {
-      if (name === "if_else_zero" && x <= ONE) return x ? y : ZERO;
-      if (name === "not" && x === ZERO) return ONE;
-      return this.node(CALL + CALLS.indexOf(name), x, UNARY.includes(name) ? 0 : y);
-    }
-    power(x, n) {
-      let value = ONE;
-      for (let k = 0; k < Math.abs(n); k++) value = this.mul(value, x);
-      return n < 0 ? this.inv(value) : value;
-    }
+    call(name, x, y = 0) { return this.node(CALL + CALLS.indexOf(name), x, UNARY.includes(name) ? 0 : y); }
     name(k) { return this.op[k] < CALL ? "" : CALLS[this.op[k] - CALL]; }
     operands(k) {
       const op = this.op[k];
@@ -186,15 +176,6 @@ globalThis.checker = (() => {
     }
     total(x) { return x.reduce((a, b) => this.add(a, b), ZERO); }
     matmul(X, Y) { return X.map((row) => Y[0].map((_, j) => this.dot(row, Y.map((line) => line[j])))); }
-    // X^-1 Y
-    solve(X, Y) {
-      let rows = X.map((row, i) => [...row, ...Y[i]]);
-      for (let k = 0; k < X.length; k++) {
-        const pivot = this.inv(rows[k][k]), own = rows[k].map((x) => this.mul(x, pivot));
-        rows = rows.map((row, i) => (i === k ? own : row.map((x, j) => this.sub(x, this.mul(row[k], own[j])))));
-      }
-      return rows.map((row) => row.slice(X.length));
-    }
   }
 
   const spread = (item, size) => {
@@ -206,22 +187,18 @@ globalThis.checker = (() => {
 
   // ---- The file
 
-  const TOP = "format version about over symbols numbers program vectors rates terms";
+  const TOP = "format version about over program vectors rates assumed ";
   const LISTS = { // keys, and those that may be missing
-    cross: ["term by", ""], projections: ["term state correction set true", "lower upper"],
-    masses: ["weight position translations inertia rotors joints motion", ""], linear: ["vectors rates", ""],
-    ranks: ["name matrix", ""], conditions: ["name", "margin strict"],
-    conclusions: ["signal says", "assumes vector estimate"], steps: ["rule estimate memory sizes rows box parts", ""],
-    lines: ["state newest before when", ""], plant: ["momentum rest", ""],
+    symbols: ["label kind size", "values numbers"], terms: ["name level role rule parts", "assumed phi"],
+    conditions: ["name", "margin strict"], conclusions: ["signal says assumes", "vector estimate"],
   };
-  const PARTS = {
-    square: "vector weight", monotone: "weight first second scale", potential: "vector width weight",
-    gathered: "vector weight memory regressor by forgetting", log_det: "matrix true weight",
+  const FLOW = {
+    cross: ["term by"], projections: ["term state correction set true lower upper"], linear: ["vectors rates"],
+    masses: ["weight position translations inertia joints", "rotors motion"], ranks: ["name matrix vector"],
   };
-  const ROLES = {
-    stored: ["square", "gathered", "potential", "log_det"], dissipated: ["square", "monotone", "gathered"],
-    residual: ["square"], cross: ["square"],
-  };
+  const SAMPLE = { steps: ["rule estimate rows sizes box parts"] };
+  const PARTS = { square: "vector weight", monotone: "weight first second scale", potential: "vector width weight" };
+  const ROLES = { stored: ["square", "potential"], dissipated: ["square", "monotone"], residual: ["square"], cross: ["square"] };
 
   function keys(item, text, names, optional = "") {
     const [must, may] = [names, optional].map((x) => x.split(" "));
@@ -233,110 +210,83 @@ globalThis.checker = (() => {
     need(Number.isSafeInteger(x) && from <= x && x < to, `${text}: expected a whole number in [${from}, ${to})`);
     return x;
   };
+  const at = (items, k, text) => items[whole(k, 0, items.length, text)];
   const list = (x, text) => (Array.isArray(x) ? x : fail(`${text}: expected a list`));
 
   class Certificate {
     constructor(data) {
-      keys(data, "the file", TOP, `${Object.keys(LISTS).join(" ")} assumed between solved`);
-      need(data.format === "dmframe-certificate" && data.version === 1, "expected a dmframe-certificate of version 1");
+      need(data.format === "dmframe-certificate", "no certificate of dmframe");
+      need(data.version === 2, "version: expected 2; write the file again");
       need(data.over === "flow" || data.over === "sample", "over: expected flow or sample");
       this.samples = data.over === "sample";
+      const lists = { ...LISTS, ...(this.samples ? SAMPLE : FLOW) };
+      keys(data, "the file", TOP + Object.keys(lists).join(" "));
+      for (const name of Object.keys({ ...FLOW, ...SAMPLE })) this[name] = [];
+      for (const name of Object.keys(lists)) this[name] = list(data[name], name).map((item) => keys(item, name, ...lists[name]));
       this.graph = new Graph();
-      this.symbols = list(data.symbols, "symbols").map((item) => keys(item, "a symbol", "label kind size", "values"));
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
       need(this.places.size === this.symbols.length, "a symbol: found twice");
       this.known = new Map(); // intervals of input nodes
       this.fixed = this.symbols.filter((item) => item.values).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
-      for (const [label, values] of Object.entries(data.numbers)) this.readNumbers(this.symbol(label), values);
-      const nodes = this.readProgram(keys(data.program, "program", "operations code a b constants"));
-      this.rows = [];
-      this.vectors = list(data.vectors, "vectors").map(([rows, elements]) => {
-        need(!elements.length || elements.length % whole(rows, 1, LARGEST, "rows") === 0, "a vector");
-        this.rows.push(rows);
-        return elements.map((x) => (whole(x, -1, nodes.length, "a vector") < 0 ? ZERO : nodes[x]));
-      });
-      for (const [name, [must, may]] of Object.entries(LISTS)) {
-        this[name] = list(data[name] ?? [], name).map((item) => keys(item, name, must, may));
-      }
-      const absent = this.samples ? ["cross", "projections", "masses", "linear", "ranks"] : ["steps", "lines", "plant", "solved", "between"];
-      for (const name of absent) need(!Object.keys(data[name] ?? {}).length, `${name}: not known over a ${data.over}`);
-      this.assumed = data.assumed ?? [];
-      this.solved = data.solved ?? [];
-      this.moves = this.readRates(data.rates);
-      this.between = this.readRates(data.between ?? {});
-      this.terms = list(data.terms, "terms").map((item) => this.readTerm(item));
-      this.derivatives = new Map();
-      const stored = this.terms.filter((item) => item.role === "stored").flatMap((item) => Object.values(item.parts));
-      need(stored.length || this.steps.length, "V has no term");
-      this.constant(stored.flatMap((k) => this.vector(k)), "V", true);
-    }
-    readSymbol(item) {
-      whole(item.size, 0, LARGEST, "the size of a symbol");
-      need(typeof item.label === "string" && KINDS.includes(item.kind), `${item.label}: of an unknown kind`);
-      need(item.size === 1 || !["time", "weight", "period"].includes(item.kind), `${item.label}: expected one number`);
-      if (item.values) this.readNumbers(item, item.values);
-    }
-    readNumbers(item, values) {
-      const found = list(values, item.label).map((x) => (Array.isArray(x) ? x : [x, x]).map(rational));
-      need(item.kind === "parameter" && found.length === item.size, `${item.label}: its numbers`);
-      found.forEach((x, k) => {
-        const node = this.graph.input(this.places.get(item.label), k), fixed = this.known.get(node);
-        need(x.length === 2 && !less(x[1], x[0]) && (!fixed || String(fixed) === String(x)), `${item.label}: its numbers`);
-        this.known.set(node, x);
-      });
-    }
-    readProgram(given) {
-      const g = this.graph, numbers = list(given.constants, "constants").map(rational), nodes = [];
-      const exact = list(given.operations, "operations");
-      need([given.a, given.b].every((x) => list(x, "program").length === given.code.length), "program: columns of one length");
-      const constants = list(given.code, "code").map((code, k) => {
-        const name = exact[whole(code, 0, exact.length, "an operation")], a = given.a[k], b = given.b[k];
-        if (name === "const") {
-          const q = numbers[whole(a, 0, numbers.length, "a constant")];
-          nodes.push(g.number(q));
-          return q;
-        }
-        if (name === "input") {
-          const symbol = whole(a, 0, this.symbols.length, "an input");
-          nodes.push(g.input(symbol, whole(b, 0, this.symbols[symbol].size, "an input")));
-          return null;
-        }
-        const [x, y] = [a, b].map((x) => nodes[whole(x, 0, k, "an operand")]);
-        nodes.push(this.operation(name, x, y, g.op[y] === NUMBER ? g.numbers[g.a[y]] : null));
-        return null;
-      });
-      return constants.length ? nodes : [];
-    }
-    operation(name, x, y, exponent) {
-      const g = this.graph;
-      if (["add", "sub", "mul", "div", "inv", "neg"].includes(name)) return g[name](x, y);
-      if (name === "sq") return g.mul(x, x);
-      if (name === "twice") return g.add(x, x);
-      if (name.endsWith("pow") && exponent && exponent[1] === 1n && exponent[0] ** 2n < 10000n) return g.power(x, Number(exponent[0]));
-      need(CALLS.includes(name), `unknown operation ${name}`);
-      return g.call(name, x, y);
-    }
-    readRates(given) {
-      return new Map(Object.entries(given).map(([label, k]) => {
+      const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
+      this.rows = list(data.vectors, "vectors").map(([rows]) => rows);
+      this.vectors = data.vectors.map(([, elements]) => elements.map((k) => at(nodes, k + 1, "a vector")));
+      this.assumed = data.assumed.map(String);
+      this.moves = new Map(Object.entries(data.rates).map(([label, k]) => {
         const item = this.symbol(label), kinds = this.samples ? ["state"] : ["state", "trajectory"];
         need(kinds.includes(item.kind) && this.vector(k).length === item.size, `the rate of ${label}`);
         return [this.places.get(label), this.vector(k)];
       }));
+      this.terms = this.terms.map((item) => this.readTerm(item));
+      this.derivatives = new Map();
+      const stored = this.terms.filter((item) => item.role === "stored").flatMap((item) => Object.keys(item.parts).map((x) => item[x]));
+      need(stored.length || this.steps.length, "V has no term");
+      this.constant(stored.flat(), "V", true);
+    }
+    readSymbol(item) {
+      const { label, kind, size, values, numbers } = item, found = values?.map((x) => [x, x]) ?? numbers;
+      need(typeof label === "string" && KINDS.includes(kind), `${label}: of an unknown kind`);
+      need(whole(size, 0, LARGEST, label) === 1 || !["time", "weight", "period"].includes(kind), `${label}: expected one number`);
+      need(!found || (kind === "parameter" && list(found, label).length === size), `${label}: its numbers`);
+      found?.forEach((pair, k) => {
+        const ends = pair.map(rational);
+        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: an interval with its ends exchanged`);
+        this.known.set(this.graph.input(this.places.get(label), k), ends);
+      });
+    }
+    readProgram({ operations, constants, code, a, b }) {
+      const g = this.graph, numbers = list(constants, "constants").map(rational), nodes = [];
+      need([a, b].every((x) => list(x, "program").length === code.length), "program: columns of one length");
+      list(code, "code").forEach((k, i) => {
+        const name = at(operations, k, "an operation");
+        if (name === "const") nodes.push(g.number(at(numbers, a[i], "a constant")));
+        else if (name === "input") nodes.push(g.input(a[i], whole(b[i], 0, at(this.symbols, a[i], "an input").size, "an input")));
+        else {
+          const [x, y] = [a, b].map((column) => at(nodes, column[i], "an operand"));
+          need(["add", "sub", "mul", "div"].includes(name) || CALLS.includes(name), `unknown operation ${name}`);
+          nodes.push(CALLS.includes(name) ? g.call(name, x, y) : g[name](x, y));
+        }
+      });
+      return nodes;
     }
     readTerm(item) {
-      keys(item, "a term", "name level role rule parts", "assumed phi");
-      need(ROLES[item.role].includes(item.rule), `${item.name}: unknown rule`);
+      need(Object.hasOwn(ROLES, item.role) && ROLES[item.role].includes(item.rule), `${item.name}: unknown rule ${item.rule} of a ${item.role} term`);
       keys(item.parts, item.name, PARTS[item.rule]);
       need(item.level === "" || this.symbol(item.level).kind === "weight", `${item.name}: its level`);
       need(item.rule !== "monotone" || ["tanh", "atan"].includes(item.phi), `${item.name}: unknown function`);
       const parts = Object.fromEntries(Object.entries(item.parts).map(([name, k]) => [name, this.vector(k)]));
+      need(!this.samples || (item.rule === "square" && !item.level && item.role !== "cross"), `${item.name}: over samples`);
       return { ...item, ...parts, level: item.level, weightOf: item.level ? this.inputs(item.level)[0] : ONE };
     }
     symbol(label) { return this.symbols[this.places.get(label) ?? fail(`unknown symbol ${label}`)]; }
     inputs(label) { return Array.from({ length: this.symbol(label).size }, (_, k) => this.graph.input(this.places.get(label), k)); }
-    vector(k) { return this.vectors[whole(k, 0, this.vectors.length, "a vector")]; }
-    term(k) { return this.terms[whole(k, 0, this.terms.length, "a term")]; }
+    vector(k) { return at(this.vectors, k, "a vector"); }
+    term(k, role) {
+      const found = at(this.terms, k, "a term");
+      need(found.role === role && found.rule === "square", `${found.name}: expected a ${role} square`);
+      return found;
+    }
     next(label) { return this.moves.get(this.places.get(label)) ?? fail(`${label}: no rate or next value`); }
     // These depend on constants alone; or, if `moving`, also on what has a rate.
     constant(nodes, text, moving) {
@@ -346,15 +296,15 @@ globalThis.checker = (() => {
       }
     }
     // Derivatives; NONE where there is none, or of a symbol without a rate.
-    rates(nodes, moves = this.moves, found = this.derivatives) {
+    rates(nodes) {
       const g = this.graph;
       return g.rates(nodes, (k) => {
-        const { kind } = this.symbols[g.a[k]], rate = moves.get(g.a[k]);
+        const { kind } = this.symbols[g.a[k]], rate = this.moves.get(g.a[k]);
         return rate ? rate[g.b[k]] : kind === "time" ? ONE : CONSTANT.includes(kind) ? ZERO : NONE;
-      }, found);
+      }, this.derivatives);
     }
-    exactRates(nodes, moves) {
-      const found = moves ? this.rates(nodes, moves, new Map()) : this.rates(nodes);
+    exactRates(nodes) {
+      const found = this.rates(nodes);
       need(!found.includes(NONE), "a derivative that does not exist, or of a function without a rule");
       return found;
     }
@@ -371,48 +321,35 @@ globalThis.checker = (() => {
   function termValue(of, term) {
     const g = of.graph, a = term.vector, w = term.weight;
     if (term.rule === "square") return g.dot(a, weighted(g, w, a));
-    if (term.rule === "gathered") { // c |a|^2_G
-      need(w.length === 1 && term.memory.length === a.length ** 2, "an information matrix");
-      return g.mul(w[0], g.dot(a, matrix(term.memory, a.length).map((row) => g.dot(row, a))));
-    }
     if (term.rule === "monotone") { // sum w (a - b) (phi(a / v) - phi(b / v))
       const n = term.first.length, v = spread(term.scale, n), steps = g.minus(term.first, term.second);
       const phi = [term.first, term.second].map((x) => x.map((x, k) => g.call(term.phi, g.div(x, v[k]))));
       return g.dot(spread(w, n), steps.map((x, k) => g.mul(x, g.sub(phi[0][k], phi[1][k]))));
     }
-    need(term.rule === "potential", "unknown rule"); // sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
+    // sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
     return g.total(a.map((x, k) => {
       const v = spread(term.width, a.length)[k], factor = g.mul(spread(w, a.length)[k], g.mul(v, v));
       return g.mul(g.add(factor, factor), g.sub(root(g, x, v), ONE));
     }));
   }
-  const root = (g, x, v) => g.call("sqrt", g.add(ONE, g.power(g.div(x, v), 2)));
-
-  // d/dt of c (log det A - log det B + tr(A^-1 B) - n) is c (tr(A^-1 A') - tr(A^-1 A' A^-1 B)).
-  function divergenceRate(of, term) {
-    const g = of.graph, n = Math.sqrt(term.matrix.length), [A, B, dA] = [term.matrix, term.true, of.exactRates(term.matrix)].map((x) => matrix(x, n));
-    need(term.true.length === n * n && term.weight.length === 1, "a divergence");
-    of.constant([...term.true, ...term.weight], "a divergence");
-    const steps = g.solve(A, dA), ratio = g.solve(A, B), trace = (X) => g.total(X.map((row, i) => row[i]));
-    return g.mul(term.weight[0], g.sub(trace(steps), trace(g.matmul(steps, ratio))));
-  }
+  const root = (g, x, v) => g.call("sqrt", g.add(ONE, g.mul(g.div(x, v), g.div(x, v))));
 
   // Names and nodes that must vanish; the first one is V, which must not.
-  function inFlow(of) {
+  function equalities(of) {
     const g = of.graph, half = g.number([1n, 2n]), found = [];
     let V = ZERO, total = ZERO;
     for (const term of of.terms) {
-      const divergence = term.rule === "log_det", value = divergence ? ONE : termValue(of, term);
+      const value = termValue(of, term);
       if (term.role === "stored") {
-        const rate = divergence ? divergenceRate(of, term) : of.exactRates([value])[0];
+        const later = () => g.sub(g.replaced([value], (k) => of.moves.get(g.a[k])?.[g.b[k]] ?? k)[0], value);
         V = g.add(V, g.mul(term.weightOf, value));
-        total = g.add(total, g.mul(term.weightOf, g.mul(half, rate)));
+        total = g.add(total, g.mul(term.weightOf, g.mul(half, of.samples ? later() : of.exactRates([value])[0])));
       } else total = g[term.role === "dissipated" ? "add" : "sub"](total, g.mul(term.weightOf, value));
     }
     for (const item of of.projections) { // (estimate - true value)' W correction
-      const term = of.term(item.term), name = item.state, estimate = of.inputs(name), correction = of.inputs(item.correction);
-      need(item.correction === `${name}, correction` && of.symbol(name).kind === "state" && term.rule === "square" &&
-        of.symbol(item.correction).kind === "projection", `${name}: its projection`);
+      const term = of.term(item.term, "stored"), name = item.state, estimate = of.inputs(name), correction = of.inputs(item.correction);
+      need(item.correction === `${name}, correction` && of.symbol(name).kind === "state" && item.set === "box" &&
+        of.symbol(item.correction).kind === "projection", `${name}: unknown projection`);
       total = g.sub(total, g.mul(term.weightOf, g.dot(weighted(g, term.weight, term.vector), correction)));
       const true_ = of.vector(item.true), without = g.replaced(of.next(name), (k) => (correction.includes(k) ? ZERO : k));
       found.push([`the error of ${name}`, g.minus(term.vector, g.minus(estimate, spread(true_, estimate.length)))]);
@@ -420,28 +357,16 @@ globalThis.checker = (() => {
       found.push([`the rate of ${name}`, g.minus(g.minus(of.next(name), without), correction)]);
     }
     for (const { term, by } of of.cross) { // a = sum_j share_j v_j
-      let left = of.term(term).vector;
+      let left = of.term(term, "cross").vector;
       for (const [share, k] of by) {
-        const v = of.term(k).vector, factor = spread(of.vector(share), v.length);
+        const v = of.term(k, "dissipated").vector, factor = spread(of.vector(share), v.length);
         left = g.minus(left, v.map((x, i) => g.mul(x, factor[i])));
       }
       found.push(["the vector of a cross term", left]);
     }
-    for (const term of of.terms) {
-      if (term.rule === "gathered") { // dG/dt = W' diag(r) W - forgetting G
-        const n = term.vector.length, W = matrix(term.regressor, term.regressor.length / n), by = spread(term.by, W.length);
-        need(term.forgetting.length === 1, "a forgetting factor");
-        const gained = g.matmul(transposed(W), W.map((row, i) => row.map((x) => g.mul(by[i], x)))).flat();
-        const decay = term.memory.map((x) => g.mul(term.forgetting[0], x));
-        found.push(["dG/dt", g.minus(of.exactRates(term.memory), g.minus(transposed(matrix(gained, n)).flat(), decay))]);
-      }
-      for (const flat of term.rule === "log_det" ? [term.matrix, term.true] : []) {
-        const rows = matrix(flat, Math.sqrt(flat.length));
-        found.push([`symmetry of ${term.name}`, g.minus(rows.flat(), transposed(rows).flat())]);
-      }
-    }
     for (const item of of.masses) found.push(...robot(of, item));
-    return [["V", [V]], ["dV/dt", [total]], ...found];
+    for (const item of of.steps) found.push(...stepsOf(of, item));
+    return [["V", [of.steps.length ? ONE : V]], [of.samples ? "V(next) - V" : "dV/dt", [total]], ...found];
   }
 
   // A chain of rigid bodies in homogeneous coordinates: T_i places link i in the world, and its pseudo-inertia S_i is the
@@ -450,7 +375,7 @@ globalThis.checker = (() => {
   function robot(of, item) {
     const g = of.graph, motion = item.motion && keys(item.motion, "a motion", "velocity acceleration gravity torque");
     const [q, moves, inertia, weight] = ["position", "translations", "inertia", "weight"].map((name) => of.vector(item[name])), n = q.length;
-    const rotors = item.rotors === null ? Array(n).fill(ZERO) : spread(of.vector(item.rotors), n);
+    const rotors = item.rotors == null ? Array(n).fill(ZERO) : spread(of.vector(item.rotors), n);
     const [dq, ddq, gravity, torque] = motion ? ["velocity", "acceleration", "gravity", "torque"].map((name) => of.vector(motion[name])) : [];
     need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "a chain: sizes of its parts");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
@@ -477,6 +402,7 @@ globalThis.checker = (() => {
     for (let i = 0; i < n; i++) M[i][i] = g.add(M[i][i], rotors[i]);
     const found = [["the mass matrix", g.minus(weight, M.flat())]];
     if (motion) {
+      of.constant([...moves, ...inertia, ...rotors], "a chain of bodies");
       found.push(["the robot's equation of motion", g.minus(sums.map((x, i) => g.add(x, g.mul(rotors[i], ddq[i]))), torque)]);
       found.push(["the robot's velocity", g.minus(of.exactRates(q), dq)], ["the robot's acceleration", g.minus(of.exactRates(dq), ddq)]);
     }
@@ -506,115 +432,31 @@ globalThis.checker = (() => {
     return [[g.sub(half, xx), a, b, hx], [a, g.sub(half, yy), c, hy], [b, c, g.sub(half, zz), hz], [hx, hy, hz, m]];
   }
 
-  // ---- Samples
-
-  function overSamples(of) {
-    const g = of.graph, half = g.number([1n, 2n]), found = [];
-    let V = ZERO, total = ZERO;
-    for (const term of of.terms) {
-      need(term.rule === "square" && !term.level && term.role !== "cross", "over samples: expected squares");
-      let value = termValue(of, term);
-      if (term.role === "stored") {
-        const [later] = g.replaced([value], (k) => of.moves.get(g.a[k])?.[g.b[k]] ?? k);
-        V = g.add(V, value);
-        value = g.mul(half, g.sub(later, value));
-      }
-      total = g[term.role === "residual" ? "sub" : "add"](total, value);
-    }
-    for (const steps of of.steps) found.push(...stepsOf(of, steps));
-    for (const line of of.lines) {
-      found.push([line.state, g.minus(of.vector(line.before), of.inputs(line.state))]);
-      found.push([`the next value of ${line.state}`, g.minus(of.next(line.state), shifted(of, line))]);
-    }
-    for (const { momentum, rest } of of.plant) { // d/dt momentum + rest = 0
-      const change = of.exactRates(of.vector(momentum), of.between);
-      found.push(["a plant identity", g.minus(change, of.vector(rest).map((x) => g.neg(x)))]);
-    }
-    for (const k of of.solved) found.push(["an equation that an output solves", of.vector(k)]);
-    return [["V", [of.steps.length ? ONE : V]], ["V(next) - V", [total]], ...found];
-  }
-
   // Steps of an estimate: for each output and each of its rows (h, y) in turn, with e = y - h'theta:
-  // normalised     theta <- theta + D h e / n, n = floor + h' D h, D the gain
-  // least_squares  theta <- theta + P h e / n, P = (G + 1/D)^-1, n = floor + h' P h, then G <- G + h h' / floor
-  // A box moves theta towards the true value inside it; a factor of G in [0, 1] forgets.
-  function stepsOf(of, steps) {
-    const g = of.graph, name = steps.estimate, squares = steps.rule === "least_squares", part = {};
-    for (const [key, k] of Object.entries(steps.parts)) part[key] = of.vector(k);
-    const sizes = list(steps.sizes, name).map((n) => whole(n, 1, LARGEST, "a size"));
-    need(squares || steps.rule === "normalised", `unknown rule ${steps.rule} of steps`);
-    need(part.floor.length === 1, "a floor");
-    for (const key of ["true", "gain", "floor", "retention", "lower", "upper"]) of.constant(part[key] ?? [], `${name}: ${key}`);
-    const pieces = (column, lengths) => {
-      let end = 0;
-      const found = lengths.map((n) => column.slice(end, (end += n)));
-      need(end === column.length, "the steps of an estimate: sizes of its parts");
-      return found;
-    };
-    const theta = pieces(part.theta, sizes), gain = pieces(part.gain, sizes), moved = [], kept = [];
-    const [lower, upper] = steps.box ? [pieces(part.lower, sizes), pieces(part.upper, sizes)] : [];
-    const rows = Array.from({ length: whole(steps.rows, 1, LARGEST, "rows") }, (_, k) => [pieces(part[`h${k}`], sizes), part[`y${k}`]]);
-    const triangles = squares ? pieces(part.gathered, sizes.map((n) => (n * (n + 1)) / 2)) : [];
-    sizes.forEach((n, j) => {
-      let now = theta[j], G = squares ? symmetric(n, triangles[j]) : null;
-      const metric = gain[j].map((x) => g.inv(x)), [floor] = part.floor;
-      for (const [row, y] of rows) {
-        const h = row[j];
-        let direction = h.map((x, i) => g.mul(x, gain[j][i]));
-        if (squares) {
-          direction = g.solve(raised(g, G, metric), h.map((x) => [x])).flat();
-          G = G.map((line, i) => line.map((x, k) => g.add(x, g.mul(h[i], g.div(h[k], floor)))));
-        }
-        const step = g.div(g.sub(y[j], g.dot(h, now)), g.add(floor, g.dot(h, direction)));
-        now = now.map((x, i) => g.add(x, g.mul(direction[i], step)));
-        if (steps.box) [now, G] = intoBox(g, now, G, metric, lower[j], upper[j]);
+  // theta <- theta + D h e / n, n = floor + h' D h, D the gain. A box moves theta towards the true value inside it.
+  function stepsOf(of, { estimate: name, rule, rows, sizes, box, parts }) {
+    const g = of.graph, part = {}, own = Array.from({ length: whole(rows, 1, LARGEST, "rows") }, (_, k) => ` h${k} y${k}`).join("");
+    need(rule === "normalised" && typeof box === "boolean", `${name}: unknown steps ${rule}`);
+    for (const [key, k] of Object.entries(keys(parts, name, `gain floor true${own}${box ? " lower upper" : ""}`))) {
+      part[key] = of.vector(k);
+      if (!/^[hy]\d/.test(key)) of.constant(part[key], name);
+    }
+    const state = of.inputs(name), moved = [], [floor] = part.floor;
+    need(of.symbol(name).kind === "state" && part.floor.length === 1, `${name}: its steps`);
+    let end = 0;
+    list(sizes, name).forEach((n, j) => {
+      const piece = (x) => x.slice(end, end + whole(n, 1, LARGEST, "a size")), gain = piece(part.gain);
+      let theta = piece(state);
+      for (let k = 0; k < rows; k++) {
+        const h = piece(part[`h${k}`]), direction = h.map((x, i) => g.mul(x, gain[i]));
+        const step = g.div(g.sub(part[`y${k}`][j], g.dot(h, theta)), g.add(floor, g.dot(h, direction)));
+        theta = theta.map((x, i) => g.add(x, g.mul(direction[i], step)));
+        if (box) theta = theta.map((x, i) => g.call("fmin", g.call("fmax", x, piece(part.lower)[i]), piece(part.upper)[i]));
       }
-      moved.push(...now);
-      if (squares) G.forEach((_, k) => { for (let i = k; i < n; i++) kept.push(g.mul(part.retention[0], G[i][k])); });
+      moved.push(...theta);
+      end += n;
     });
-    const found = [[name, g.minus(part.theta, of.inputs(name))], [`the next value of ${name}`, g.minus(of.next(name), moved)]];
-    if (squares) {
-      found.push([steps.memory, g.minus(part.gathered, of.inputs(steps.memory))]);
-      found.push([`the next value of ${steps.memory}`, g.minus(of.next(steps.memory), kept)]);
-    }
-    return found;
-  }
-  // A symmetric matrix from its lower triangle, column by column.
-  function symmetric(n, triangle) {
-    const G = Array.from({ length: n }, () => []);
-    let at = 0;
-    for (let k = 0; k < n; k++) for (let i = k; i < n; i++) G[i][k] = G[k][i] = triangle[at++];
-    return G;
-  }
-  const raised = (g, G, metric) => G.map((row, i) => row.map((x, k) => (i === k ? g.add(x, metric[i]) : x)));
-  const clip = (g, x, low, high) => g.call("fmin", g.call("fmax", x, low), high);
-
-  // Onto a box; least squares: onto one face after the other in the norm of G + 1/D, then by clipping, which sets G to
-  // zero where it changes an element.
-  function intoBox(g, theta, G, metric, lower, upper) {
-    const clipped = (x) => x.map((x, i) => clip(g, x, lower[i], upper[i]));
-    if (!G) return [clipped(theta), null];
-    const P = g.solve(raised(g, G, metric), G.map((_, i) => G.map((_, k) => (i === k ? ONE : ZERO))));
-    theta.forEach((_, i) => {
-      const face = clip(g, theta[i], lower[i], upper[i]), factor = g.div(g.sub(theta[i], face), P[i][i]);
-      theta = theta.map((x, k) => (k === i ? face : g.sub(x, g.mul(P[k][i], factor))));
-    });
-    const cut = clipped(theta);
-    const kept = cut.slice(0, -1).reduce((all, x, i) => g.mul(all, g.call("eq", theta[i], x)), ONE);
-    return [cut, G.map((row) => row.map((x) => g.mul(x, kept)))];
-  }
-
-  // A delay line at the next sample: the newest entry comes first, the oldest is dropped.
-  function shifted(of, line) {
-    const g = of.graph, newest = of.vector(line.newest), before = of.vector(line.before);
-    const rows = of.rows[line.newest], height = of.rows[line.before], width = before.length / height;
-    let after = [...newest, ...before].slice(0, before.length);
-    if (newest.length / rows === width) {
-      after = before.map((_, k) => (k % height < rows ? newest[(k % height) + Math.floor(k / height) * rows] : before[k - rows]));
-    }
-    if (line.when === null) return after;
-    const [when] = of.vector(line.when), kept = g.call("not", when);
-    return after.map((x, k) => g.add(g.call("if_else_zero", when, x), g.call("if_else_zero", kept, before[k])));
+    return [[`the next value of ${name}`, g.minus(of.next(name), moved)]];
   }
 
   // ---- Degrees: a node is N / (product of divisors d^e), a sum takes the largest exponent of each divisor
@@ -783,26 +625,11 @@ globalThis.checker = (() => {
       }
       return nodes.map((k) => t.get(k));
     }
-    // The gradient of a node that does not depend on open directions by functions.
-    gradient(node) {
-      const { g, p, values: v } = this, found = new Map([[node, 1n]]), inputs = new Map();
-      const give = (k, x) => found.set(k, ((found.get(k) ?? 0n) + x) % p);
-      for (const k of g.slice([node]).reverse()) {
-        const op = g.op[k], a = g.a[k], b = g.b[k], x = found.get(k);
-        if (!x) continue;
-        if (op === INPUT) inputs.set(k, x);
-        else if (op === ADD) { give(a, x); give(b, x); }
-        else if (op === SUB) { give(a, x); give(b, p - x); }
-        else if (op === MUL) { give(a, x * v[b]); give(b, x * v[a]); }
-        else if (op === INV) give(a, (p - x) * ((v[k] * v[k]) % p));
-      }
-      return inputs;
-    }
   }
 
   // log2 of the error bound and the number of points; refutes at a point where an equality does not hold.
   function identity(of) {
-    const equalities = (of.samples ? overSamples : inFlow)(of), all = equalities.flatMap(([, nodes]) => nodes);
+    const found = equalities(of), all = [...found, [0, of.vectors.flat()]].flatMap(([, nodes]) => nodes);
     const total = Math.log2(degrees(of.graph, all)), size = SIZES.find((size) => total + 3 - size < -64);
     need(size, `the degree of the identity is too high: D + H is 2^${total}`);
     const error = 3 + total - size;
@@ -813,7 +640,7 @@ globalThis.checker = (() => {
       try {
         for (const label of of.fixed) for (const k of of.inputs(label)) point.given.set(k, point.residue(of.known.get(k)[0]));
         point.at(all);
-        for (const [name, nodes] of equalities) if (point.at(nodes).some((x) => x) === (name !== "V")) refute(`${name} does not hold`);
+        for (const [name, nodes] of found) if (point.at(nodes).some((x) => x) === (name !== "V")) refute(`${name} does not hold`);
         points++;
       } catch (fault) {
         if (!(fault instanceof Vanishes)) throw fault;
@@ -825,7 +652,7 @@ globalThis.checker = (() => {
   // ---- Signs, conditions and small gain
 
   class Signs {
-    constructor(of) { Object.assign(this, { of, boxes: new Map(), believed: [] }); }
+    constructor(of) { Object.assign(this, { of, boxes: new Map(), assumed: [] }); }
     // Intervals of nodes; null if they depend on more than parameters (and boxes), or on a function.
     bounds(nodes, boxes = new Map()) {
       try {
@@ -869,7 +696,7 @@ globalThis.checker = (() => {
       if (!low || !high) refute(`${name}: its box is not made of parameters`);
       if (low.some((x, k) => less(high[k][0], x[1]))) refute(`${name}: its box is empty`);
       const value = this.bounds(spread(this.of.vector(true_), estimate.length));
-      if (!value) this.believed.push(`${name}: its true value is inside the box`);
+      if (!value) this.assumed.push(`${name}: its true value is inside the box`);
       estimate.forEach((node, k) => {
         if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value is not inside the box`);
         this.boxes.set(node, [low[k][0], high[k][1]]);
@@ -880,26 +707,17 @@ globalThis.checker = (() => {
       if (rule === "square" && term.role !== "cross" && !this.bounds(W)) {
         for (const item of this.of.masses) if (W.length === n * n && String(this.of.vector(item.weight)) === String(W)) return this.mass(item);
         if (term.assumed) {
-          this.believed.push(`${name}: its weight is positive: ${term.assumed}`);
+          this.assumed.push(`${name}: its weight is positive: ${term.assumed}`);
           return 1;
         }
       }
-      if (rule === "monotone" || rule === "potential") return this.sign(term.scale ?? term.width) === 1 ? sign : -1;
-      if (rule === "gathered") {
-        this.believed.push(`${name}: its information matrix starts at zero`);
-        return Math.min(0, sign, this.sign(term.by), this.sign(term.forgetting));
-      }
-      if (rule === "log_det") {
-        this.believed.push(`${name}: it starts positive definite`);
-        return Math.min(sign, this.sign(term.true, Math.sqrt(term.true.length)));
-      }
-      return sign;
+      return rule === "square" || this.sign(term.scale ?? term.width) === 1 ? sign : -1;
     }
     // A mass matrix is positive definite if each link's pseudo-inertia is, and no rotor's inertia is negative.
     mass(item) {
       const { of } = this, inertia = of.vector(item.inertia);
-      if (item.rotors !== null && this.sign(of.vector(item.rotors)) < 0) return -1;
-      if (!this.bounds(inertia)) this.believed.push("the load of the mass matrix is a rigid body");
+      if (item.rotors != null && this.sign(of.vector(item.rotors)) < 0) return -1;
+      if (!this.bounds(inertia)) this.assumed.push("the load of the mass matrix is a rigid body");
       else for (let k = 0; k < inertia.length; k += 10) if (this.sign(pseudo(of.graph, inertia.slice(k, k + 10)).flat(), 4) < 1) return -1;
       return 1;
     }
@@ -908,26 +726,22 @@ globalThis.checker = (() => {
       const { of } = this, strict = new Set();
       for (const term of of.terms.filter((item) => item.role !== "residual")) {
         const sign = this.weight(term);
-        if (sign < (term.role === "stored" && term.rule !== "gathered" ? 1 : 0)) refute(`${term.name}: the sign of its weight is wrong, or not shown`);
+        if (sign < (term.role === "stored" ? 1 : 0)) refute(`${term.name}: the sign of its weight is wrong, or not shown`);
         if (sign === 1) strict.add(term);
       }
       for (const item of of.projections) {
-        const term = of.term(item.term), name = item.state;
-        this.believed.push(`${name}: it starts inside its ${item.set}, and the law that runs is this projection`);
-        if (item.set === "box") {
-          need([1, term.vector.length].includes(term.weight.length) && strict.has(term), `${name}: expected a box with a diagonal metric`);
-          this.inside(name, item.lower, item.true, item.upper);
-        } else this.believed.push(`${name}: its ${item.set} is bounded, contains the true value, and suits the metric`);
+        const term = of.term(item.term, "stored"), name = item.state;
+        this.assumed.push(`${name}: it starts inside its box, and the law that runs is this projection`);
+        need([1, term.vector.length].includes(term.weight.length), `${name}: expected a diagonal metric`);
+        this.inside(name, item.lower, item.true, item.upper);
       }
-      for (const { parts, box, estimate, rule } of of.steps) {
+      for (const { parts, box, estimate } of of.steps) {
         if (this.sign(of.vector(parts.gain)) !== 1 || this.sign(of.vector(parts.floor)) !== 1) refute(`${estimate}: gain and floor of its steps are not shown to be positive`);
         if (box) this.inside(estimate, parts.lower, parts.true, parts.upper);
-        const kept = rule === "least_squares" && this.bounds(of.vector(parts.retention));
-        if (kept === null || (kept && (less(kept[0][0], zeroQ) || less([1n, 1n], kept[0][1])))) refute(`${estimate}: its factor of forgetting is not shown to be in [0, 1]`);
       }
       for (const item of of.conditions) {
-        if (item.margin === undefined || !this.bounds(of.vector(item.margin))) this.believed.push(`condition: ${item.name}`);
-        else if (this.sign(of.vector(item.margin)) < (item.strict ? 1 : 0)) refute(`condition: ${item.name}`);
+        if (item.margin == null || !of.vector(item.margin).length || !this.bounds(of.vector(item.margin))) this.assumed.push(`condition: ${item.name}`);
+        else if (this.sign(of.vector(item.margin)) < (item.strict === false ? 0 : 1)) refute(`condition: ${item.name}`);
       }
       return strict;
     }
@@ -936,12 +750,12 @@ globalThis.checker = (() => {
     kappa(strict) {
       const { of } = this, groups = [];
       for (const { term, by } of of.cross) {
-        const c = of.term(term), used = new Set(by.map(([, k]) => of.term(k))), n = c.vector.length, level = by.length && of.term(by[0][1]).level;
+        const c = of.term(term, "cross"), used = new Set(by.map(([, k]) => of.term(k, "dissipated"))), n = c.vector.length, level = by.length && of.term(by[0][1], "dissipated").level;
         need(used.size === by.length && by.length && [...used].every((item) => item.level === level), "a cross term: expected squares of one level");
-        need(!c.level && c.weight.length === 1 && c.role === "cross", "a cross term: expected one number as its weight");
+        need(!c.level && c.weight.length === 1, "a cross term: expected one number as its weight");
         const ratios = by.map(([share, k]) => {
-          const item = of.term(k), [a, W] = [of.vector(share), item.weight].map((x) => this.bounds(spread(x, n)));
-          if (!strict.has(item) || item.role !== "dissipated" || item.rule !== "square" || !a || !W) refute("no square with a positive weight of parameters dominates a cross term");
+          const item = of.term(k, "dissipated"), [a, W] = [of.vector(share), item.weight].map((x) => this.bounds(spread(x, n)));
+          if (!strict.has(item) || !a || !W) refute("no square with a positive weight dominates a cross term");
           return a.map((x, i) => timesI(timesI(x, x, true), inverseI(W[i])));
         });
         const [weight] = this.bounds(c.weight) ?? refute("the weight of a cross term is not made of parameters");
@@ -952,7 +766,7 @@ globalThis.checker = (() => {
         group.sum = sum(group.sum, largest);
         if (!level && !less(group.sum, [1n, 1n])) refute("the dissipation does not dominate a cross term");
       }
-      const declared = of.cross.map((item) => of.term(item.term));
+      const declared = of.cross.map((item) => of.term(item.term, "cross"));
       for (const term of of.terms) if (term.role === "cross" && !declared.includes(term)) refute(`${term.name}: nothing dominates its cross term`);
       if (!groups.length) return null;
       const [n, d] = most(groups.map((item) => item.sum));
@@ -962,67 +776,50 @@ globalThis.checker = (() => {
 
   // ---- Conclusions in continuous time
 
-  class Echelon { // rows in reduced echelon form modulo p
-    constructor(p) { Object.assign(this, { p, rows: new Map() }); }
-    reduced(row) {
-      row = [...row];
-      for (const [pivot, other] of this.rows) if (row[pivot]) this.subtract(row, other, row[pivot]);
-      return row;
+  // The directions in the span of a basis along which functionals vanish, from their slopes along each.
+  function restricted(basis, slopes, p, inverse) {
+    let rows = basis.map((u, k) => [...u, ...slopes[k]]);
+    const n = basis[0]?.length ?? 0;
+    for (let k = n; k < (rows[0]?.length ?? 0); k++) {
+      const pivot = rows.find((row) => row[k]);
+      if (!pivot) continue;
+      const scale = p - inverse(pivot[k]);
+      rows = rows.filter((row) => row !== pivot).map((row) => {
+        const factor = (row[k] * scale) % p;
+        return factor ? row.map((x, i) => (pivot[i] ? (x + factor * pivot[i]) % p : x)) : row;
+      });
     }
-    subtract(row, other, factor) {
-      const { p } = this, minus = p - factor;
-      other.forEach((x, k) => { if (x) row[k] = (row[k] + minus * x) % p; });
-    }
-    has(row) { return this.reduced(row).every((x) => !x); }
-    add(given, inverse) {
-      const row = this.reduced(given), pivot = row.findIndex((x) => x);
-      if (pivot < 0) return false;
-      const scale = inverse(row[pivot]), own = row.map((x) => x && (x * scale) % this.p);
-      for (const other of this.rows.values()) if (other[pivot]) this.subtract(other, own, other[pivot]);
-      this.rows.set(pivot, own);
-      return true;
-    }
-    // A direction that all rows map to zero, with these numbers at the free columns.
-    open(count, free) {
-      const u = Array.from({ length: count }, (_, k) => (this.rows.has(k) ? 0n : free(k))), at = [...u.keys()].filter((k) => u[k]);
-      for (const [pivot, row] of this.rows) u[pivot] = at.reduce((s, k) => (row[k] ? (s + (this.p - row[k]) * u[k]) % this.p : s), 0n);
-      return u;
-    }
+    return rows.map((row) => row.slice(0, n));
   }
+  const units = (n) => Array.from({ length: n }, (_, k) => Array.from({ length: n }, (_, i) => BigInt(i === k)));
 
   // Bounded and vanishing signals, if V does not increase and trajectories, with their rates, are bounded. A direction of
   // the state space is open if no bounded signal determines it. With bounded functions frozen, a signal whose derivative
-  // along a random open direction is zero is bounded; a bounded signal with a constant gradient closes a direction.
+  // along a random open direction is zero is bounded; a bounded signal with constant derivatives closes a direction.
   // Parameters have the numbers of the file.
   class Conclusions {
     constructor(of, signs, strict) {
-      const size = SIZES[0], p = randomPrime(size);
-      Object.assign(this, { of, g: of.graph, signs, strict, p, size, linear: [], pool: [], tried: new Map() });
-      const first = new Point(of, p, size, new Map()), given = first.given;
-      for (const { label, kind } of of.symbols.filter((item) => CONSTANT.includes(item.kind))) {
-        for (const k of of.inputs(label)) {
+      const size = SIZES[0], p = randomPrime(size), first = new Point(of, p, size, new Map()), given = first.given;
+      Object.assign(this, { of, g: of.graph, signs, strict, p, size, given, linear: [], pool: [], gone: [] });
+      for (const { label, kind } of of.symbols) {
+        for (const k of CONSTANT.includes(kind) ? of.inputs(label) : []) {
           const [low, high] = of.known.get(k) ?? [zeroQ, minusOne];
-          given.set(k, less(low, high) || less(high, low) ? first.random() : first.residue(low));
+          given.set(k, String(low) === String(high) ? first.residue(low) : first.random());
         }
       }
-      this.given = given;
       this.columns = of.symbols.filter((item) => ["state", "time"].includes(item.kind)).flatMap((item) => of.inputs(item.label));
-      this.closed = new Echelon(p);
+      this.open = units(this.columns.length);
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
       this.inverse = (x) => first.inverse(x);
-      this.count = 4 + of.conclusions.filter((x) => x.vector !== undefined && x.says === "goes to zero").reduce((n, x) => n + of.vector(x.vector).length, 0);
-      this.span = new Echelon(p); // of all signals that vanish, at the points of the pool
+      this.squares = [...strict].filter((term) => term.role === "dissipated" && term.rule === "square").map((term) => term.vector);
+      this.wanted = of.conclusions.filter((item) => item.vector != null);
       this.close();
+      this.sources = this.premises();
+      this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => of.vector(x.vector)), ...this.sources.map((x) => x[1])].flat().length;
+      this.basis = units(this.count);
     }
-    add(row) {
-      const grown = this.closed.add(row, this.inverse);
-      if (grown) this.u = null;
-      return grown;
-    }
-    direction() {
-      this.u ??= new Map(this.closed.open(this.columns.length, () => below(this.p, this.size)).map((x, k) => [this.columns[k], x]));
-      return this.u;
-    }
+    dot(x, y) { return x.reduce((total, a, k) => (a && y[k] ? (total + a * y[k]) % this.p : total), 0n); }
+    along(nodes, u, place = 0) { return this.points[place].along(nodes, new Map(u.map((x, k) => [this.columns[k], x]))); }
     sample(nodes, count) {
       while (this.pool.length < count) this.pool.push(new Point(this.of, this.p, this.size, this.given));
       return this.pool.slice(0, count).map((point) => point.at(nodes));
@@ -1030,133 +827,117 @@ globalThis.checker = (() => {
     equal(x, y) {
       return x.length === y.length && !y.includes(NONE) && this.sample([...x, ...y], 2).every((row) => row.every((value, k) => value === row[(k + x.length) % row.length]));
     }
-    // Corrections of projections are bounded where their nominal rates are.
+    // Corrections of projections are bounded where their nominal rates are, which must not depend on one another.
     bounded(nodes, within = []) {
-      if (nodes.includes(NONE) || this.points[0].along(nodes, this.direction()).some((x) => x)) return false;
-      const reads = this.g.reads(nodes), own = within[within.length - 1];
-      return this.of.projections.every(({ state, correction }) => {
-        if (state === own || !reads.has(this.of.places.get(correction))) return true;
-        return !within.includes(state) && this.bounded(this.of.next(state), [...within, state]);
+      const weights = this.open.map(() => below(this.p, this.size)), u = this.columns.map((_, k) => this.dot(weights, this.open.map((x) => x[k])));
+      if (nodes.includes(NONE) || this.along(nodes, u).some((x) => x)) return false;
+      const { of } = this, own = within[within.length - 1];
+      return [...this.g.reads(nodes)].every((k) => {
+        if (of.symbols[k].kind !== "projection") return true;
+        const state = of.projections.find((item) => item.correction === of.symbols[k].label)?.state;
+        return state !== undefined && (state === own || (!within.includes(state) && this.bounded(of.next(state), [...within, state])));
       });
     }
+    restrict(slopes) {
+      const before = this.open.length;
+      this.open = restricted(this.open, slopes, this.p, this.inverse);
+      return this.open.length < before;
+    }
     close() {
-      const { of, columns } = this, signals = [], waiting = [...of.linear];
-      for (const term of this.strict) if (term.role === "stored") signals.push(...(term.matrix ?? term.vector));
-      for (const item of of.projections) for (const k of of.inputs(item.state)) this.add(columns.map((x) => BigInt(x === k)));
-      this.closeConstants();
+      const { g, of, columns } = this, waiting = [...of.linear], fixed = of.projections.flatMap((item) => of.inputs(item.state));
+      const signals = [...this.strict].filter((term) => term.role === "stored").map((term) => term.vector);
+      this.restrict(this.open.map((u) => u.filter((_, k) => fixed.includes(columns[k]))));
+      const free = [...columns.keys()].filter((k) => of.moves.has(g.a[columns[k]]) && !fixed.includes(columns[k]));
+      const rows = this.sample(free.map((k) => of.moves.get(g.a[columns[k]])[g.b[columns[k]]]), free.length + 3);
+      // combinations of states whose rate is identically zero
+      const steady = restricted(units(free.length), free.map((_, k) => rows.map((row) => row[k])), this.p, this.inverse);
+      this.restrict(this.open.map((u) => steady.map((x) => this.dot(x, free.map((k) => u[k])))));
       for (;;) {
-        while (this.grow(signals));
+        while (signals.map((nodes) => this.grow(nodes)).some((x) => x));
         const found = waiting.find((item) => this.stable(item) && this.bounded(this.disturbance(item)));
         if (!found) return;
         waiting.splice(waiting.indexOf(found), 1);
         this.linear.push(found);
-        signals.push(...found.vectors.flatMap((k) => of.vector(k)));
+        signals.push(...found.vectors.map((k) => of.vector(k)));
       }
     }
-    // A combination of states whose rate is identically zero is constant.
-    closeConstants() {
-      const { g, of, columns } = this;
-      const free = columns.filter((k, at) => !this.closed.rows.has(at) && of.moves.has(g.a[k])), rates = free.map((k) => of.moves.get(g.a[k])[g.b[k]]);
-      const rows = new Echelon(this.p);
-      for (const row of this.sample(rates, free.length + 3)) rows.add(row, this.inverse);
-      free.forEach((_, at) => {
-        if (rows.rows.has(at)) return;
-        const u = rows.open(free.length, (k) => BigInt(k === at));
-        this.add(columns.map((k) => (free.includes(k) ? u[free.indexOf(k)] : 0n)));
-      });
-    }
-    grow(signals) {
-      const [one, other] = this.points.map((point) => point.along(signals, this.direction()));
-      const steady = signals.filter((_, k) => one[k] && one[k] === other[k]);
-      return steady.map((node) => {
-        const slope = this.points[0].gradient(node);
-        return this.add(this.columns.map((k) => slope.get(k) ?? 0n));
-      }).some((x) => x);
+    grow(nodes) {
+      const [one, other] = [0, 1].map((place) => this.open.map((u) => this.along(nodes, u, place)));
+      return this.restrict(one.map((row) => row.filter((_, k) => one.every((x, i) => x[k] === other[i][k]))));
     }
     // dz/dt - A z of a linear equation.
     disturbance(item) {
       const { g, of } = this, z = item.vectors.map((k) => of.vector(k));
+      need(item.rates.length === z.length, "a linear equation: its sizes");
       return z.flatMap((vector, i) => {
         const row = item.rates[i].map((k, j) => spread(of.vector(k), z[j].length));
-        need(row.length === z.length && item.rates.length === z.length && z.every((x) => x.length === vector.length), "a linear equation: its sizes");
+        need(row.length === z.length && z.every((x) => x.length === vector.length), "a linear equation: its sizes");
         return of.rates(vector).map((rate, k) => (rate === NONE ? NONE : row.reduce((x, factor, j) => g.sub(x, g.mul(factor[k], z[j][k])), rate)));
       });
     }
     // True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals.
     stable(item) {
-      const { of, signs } = this, n = Math.max(...item.vectors.map((k) => of.vector(k).length));
-      const nodes = item.rates.map((row) => row.map((k) => spread(of.vector(k), n)));
-      const moving = this.g.slice(nodes.flat(2)).some((k) => signs.boxes.has(k)), A = nodes.map((row) => row.map((x) => signs.bounds(x, signs.boxes)));
-      if (A.flat().includes(null) || A.some((row) => row.length !== A.length) || A.length > (moving ? 1 : 2)) return false;
+      const { of, signs } = this, n = of.vector(item.vectors[0]).length, boxes = item.rates.length === 1 ? signs.boxes : new Map();
+      const A = item.rates.map((row) => row.map((k) => signs.bounds(spread(of.vector(k), n), boxes)));
+      if (A.flat().includes(null) || A.some((row) => row.length !== A.length) || A.length > 2) return false;
       return Array.from({ length: n }, (_, k) => A.map((row) => row.map((x) => x[k]))).every(([[a, b], [c, d] = []]) => {
         if (A.length === 1) return a[1][0] < 0n;
         return plusI(a, d)[1][0] < 0n && positive(minusI(timesI(a, d), timesI(b, c))[0]);
       });
     }
-    made(nodes, span = this.span) {
-      return !nodes.includes(NONE) && transposed(this.sample(nodes, this.count)).every((column) => span.has(column));
+    // Signals of which the vanishing implies that of others, these, and what this assumes.
+    premises() {
+      const { g, of } = this, found = this.linear.map((item) => [this.disturbance(item), item.vectors.flatMap((k) => of.vector(k))]);
+      for (const { rule, vector: a, width } of of.terms) { // a / sqrt(1 + (a / v)^2) has the zeros of a
+        if (rule === "potential") found.push([a.map((x, k) => g.div(x, root(g, x, spread(width, a.length)[k]))), a]);
+      }
+      for (const item of of.ranks) {
+        const flat = of.vector(item.matrix), R = matrix(flat, of.rows[item.matrix]), b = of.vector(item.vector), [values] = this.sample(flat, 1);
+        if (restricted(units(R.length), matrix(values, R.length), this.p, this.inverse).length) continue;
+        found.push([transposed(R).map((column) => g.dot(column, b)), b, `${item.name} keeps full row rank, uniformly`]);
+      }
+      return found;
     }
-    collect(nodes, span) { for (const column of transposed(this.sample(nodes, this.count))) span.add(column, this.inverse); }
+    slopes(nodes) {
+      const columns = transposed(this.sample(nodes, this.count));
+      return this.basis.map((u) => columns.map((column) => this.dot(u, column)));
+    }
+    made(nodes) { return this.gone.length > 0 && !nodes.includes(NONE) && !this.slopes(nodes).flat().some((x) => x); }
+    vanish(nodes) {
+      this.gone.push(nodes);
+      this.basis = restricted(this.basis, this.slopes(nodes), this.p, this.inverse);
+    }
     // Its square is integrable and its derivative bounded (Barbalat's lemma), it is the derivative of a vanishing signal
-    // and its own derivative is bounded, or it follows from others.
-    vanishes(nodes, squares, gone) {
-      const { of } = this;
-      const first = squares.some((x) => this.equal(nodes, x)) || gone.some((x) => this.equal(nodes, of.rates(x)));
-      if (first && this.bounded(of.rates(nodes))) return true;
-      if (!gone.length) return false;
-      if (this.linear.some((item) => item.vectors.some((k) => this.equal(nodes, of.vector(k))) && this.made(this.disturbance(item)))) return true;
-      const widths = of.terms.filter((term) => term.rule === "potential" && this.equal(nodes, term.vector)).map((term) => term.width);
-      return [null, ...widths].some((width) => this.followsFrom(nodes, gone, width));
-    }
-    // True if a, or a / sqrt(1 + (a / v)^2) with the same zeros, is made of vanishing signals z; or R'a is, or a is part
-    // of the least-squares solutions of R'b = z, with a matrix R that is believed to keep full row rank.
-    followsFrom(nodes, gone, width) {
-      const { g, of } = this, v = width && spread(width, nodes.length), a = width ? nodes.map((x, k) => g.div(x, root(g, x, v[k]))) : nodes;
-      if (this.made(a)) return true;
-      return of.ranks.some((item) => {
-        const flat = of.vector(item.matrix), rows = of.rows[item.matrix], R = matrix(flat, rows), columns = flat.length / rows;
-        const rank = new Echelon(this.p), [values] = this.sample(flat, 1);
-        if (!matrix(values, rows).every((row) => rank.add(row, this.inverse))) return false;
-        const shown = rows === a.length ? this.made(transposed(R).map((column) => g.dot(column, a))) : rows > a.length && gone.some((z) => {
-          if (z.length % columns) return false;
-          const span = new Echelon(this.p), square = g.matmul(R, transposed(R));
-          for (let k = 0; k < z.length; k += columns) {
-            this.collect(g.solve(square, R.map((row) => [g.dot(row, z.slice(k, k + columns))])).flat(), span);
-          }
-          return this.made(a, span);
-        });
-        if (shown) this.signs.believed.push(`${item.name} keeps full row rank, uniformly`);
-        return shown;
-      });
+    // and its own derivative is bounded, or vanishing signals make it.
+    vanishes(nodes) {
+      const { of } = this, ends = this.squares.some((x) => this.equal(nodes, x)) || this.gone.some((x) => this.equal(nodes, of.rates(x)));
+      return (ends && this.bounded(of.rates(nodes))) || this.made(nodes);
     }
     check() {
-      const { of } = this, left = [...of.conclusions], shown = [], gone = [];
-      const squares = [...this.strict].filter((term) => term.role === "dissipated" && term.rule === "square").map((term) => term.vector);
+      const shown = [], { of } = this;
       for (;;) {
-        const found = left.find((item) => {
-          if (item.vector === undefined || this.tried.get(item) === gone.length) return false;
-          this.tried.set(item, gone.length);
-          return this.follows(item.says, of.vector(item.vector), squares, gone);
-        });
-        if (!found) return [shown, left];
-        shown.push(...left.splice(left.indexOf(found), 1));
-        if (found.says !== "goes to zero") continue;
-        gone.push(of.vector(found.vector));
-        this.collect(of.vector(found.vector), this.span);
+        const found = this.wanted.filter((x) => !shown.includes(x) && this.follows(x.says, of.vector(x.vector)));
+        for (const x of found) if (x.says === "goes to zero") this.vanish(of.vector(x.vector));
+        shown.push(...found);
+        const used = this.sources.filter(([premise, nodes]) => this.made(premise) && !this.made(nodes));
+        for (const [, nodes, text] of used) {
+          this.vanish(nodes);
+          if (text) this.signs.assumed.push(text);
+        }
+        if (!found.length && !used.length) return shown;
       }
     }
-    follows(says, nodes, squares, gone) {
+    follows(says, nodes) {
       if (says === "is bounded") return this.bounded(nodes);
-      if (says === "is square-integrable") return squares.some((x) => this.equal(nodes, x));
-      if (says === "stays in a compact set of positive definite matrices") return [...this.strict].some((term) => term.matrix && this.equal(nodes, term.matrix));
-      return says === "goes to zero" && this.vanishes(nodes, squares, gone);
+      if (says === "is square-integrable") return this.squares.some((x) => this.equal(nodes, x));
+      return says === "goes to zero" && this.vanishes(nodes);
     }
   }
 
-  // What the lemmas of update steps show, whatever the rows are; eta is what the true parameters do not explain.
-  const fromSteps = ({ estimate: name, rule, box }) => [
+  // What the lemma of update steps shows, whatever the rows are; eta is what the true parameters do not explain.
+  const fromSteps = ({ estimate: name, box }) => [
     ...(box ? [`${name} is bounded`] : []),
-    `|${name} - true value|^2 in the metric ${rule === "normalised" ? "gain^-1" : "G + gain^-1"} does not rise where eta is zero`,
+    `|${name} - true value|^2 in the metric gain^-1 does not rise where eta is zero`,
     `the error of ${name} in the direction of its rows is square-summable where eta is`,
   ];
 
@@ -1164,14 +945,14 @@ globalThis.checker = (() => {
     const of = new Certificate(data), signs = new Signs(of), [error, points] = identity(of), strict = signs.check(), kappa = signs.kappa(strict);
     const named = (items) => items.map((item) => `${item.signal} ${item.says}`);
     let shown = [], left = of.conclusions;
-    if (of.samples) left = left.filter((item) => item.estimate === undefined);
+    if (of.samples) left = left.filter((item) => item.estimate == null);
     else if (!of.terms.some((term) => term.role === "residual")) {
-      [shown, left] = new Conclusions(of, signs, strict).check();
-      const [again] = new Conclusions(of, signs, strict).check(); // with another prime
-      left.push(...shown.filter((item) => !again.includes(item)));
-      shown = shown.filter((item) => again.includes(item));
+      const [once, again] = [0, 1].map(() => new Conclusions(of, signs, strict).check()); // with another prime
+      shown = once.filter((item) => again.includes(item));
+      left = left.filter((item) => !shown.includes(item));
     }
-    const given = of.samples ? [] : of.symbols.filter((item) => item.kind === "trajectory").map((item) => item.label);
+    const given = of.samples ? [] : of.symbols.filter((item) => GIVEN.includes(item.kind)).map((item) => item.label);
+    const weights = [...new Set(of.terms.map((item) => item.level))].filter((x) => x).sort();
     return {
       status: "re-proved",
       statement: of.samples ? "V(next) - V" : "dV/dt",
@@ -1181,8 +962,8 @@ globalThis.checker = (() => {
       kappa_above: kappa,
       only_at_exact_values_of: of.fixed.sort(),
       conclusions: of.samples ? of.steps.flatMap(fromSteps) : named(shown),
-      believed: [...BELIEVED, ...(given.length ? [`bounded: ${given.join(", ")}`] : []), ...new Set(signs.believed), ...named(left)],
-      assumed: of.assumed,
+      not_checked: named(left),
+      assumed: [...ASSUMED, ...(given.length ? [`bounded: ${given.join(", ")}`] : []), ...(weights.length ? [`above kappa_above, and positive: ${weights.join(", ")}`] : []), ...new Set(signs.assumed), ...of.assumed],
     };
   }
 

@@ -182,6 +182,10 @@ def verify(
     certificate: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write a certificate for independent checkers.")
     ] = None,
+    over: Annotated[str, typer.Option(metavar="TIME", help="Length of the run for bounds on the error.")] = "60 s",
+    disturbance: Annotated[
+        str, typer.Option(metavar="TORQUE", help="Disturbance torque of bounds, such as 5 N m; one, or one per joint.")
+    ] = "0 N m",
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
     fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported
         bool, typer.Option("--fresh", help="Prove again, even if a verdict for the same inputs is remembered.")
@@ -198,7 +202,8 @@ def verify(
     found = graphs_of(graph, overrides, trust=trust)
     number = whole("--seed", seed)
     files = {"claim": claim, "certificate": certificate}
-    return verify_graphs(found, report=report, files=files, replay=replay, seed=number, as_json=as_json)
+    bounds = {"over": over, "disturbance": disturbance}
+    return verify_graphs(found, report=report, files=files, replay=replay, seed=number, bounds=bounds, as_json=as_json)
 
 
 @app.command()

@@ -32,11 +32,13 @@ def verify_graphs(
     files: Mapping[str, Path | None],
     replay: Sequence[str],
     seed: int,
+    bounds: Mapping[str, str],
     as_json: bool,
 ) -> int:
     """Verify graphs one after another; returns the exit status.
 
-    `replay` is the command line; `files` are the paths of the claim and the certificate of a single graph, by option.
+    `replay` is the command line; `files` are the paths of the claim and the certificate of a single graph, and `bounds`
+    the time and the torque of the bounds, by option.
     """
     if report is not None:
         from dmframe.report.write import check_place
@@ -50,7 +52,9 @@ def verify_graphs(
     for graph in graphs:  # report faults of all graphs before the first proof
         _ = graph.diagram
     labels = labels_of([(graph.name, graph) for graph in graphs])
-    found = [replace(graph.verify(seed=seed), label=label) for graph, label in zip(graphs, labels, strict=True)]
+    found = [
+        replace(graph.verify(seed=seed, **bounds), label=label) for graph, label in zip(graphs, labels, strict=True)
+    ]
     status = 0 if all(each.proved for each in found) else NOT_PROVED
     proved_at = datetime.now(UTC).isoformat(timespec="seconds")
     summaries = [{**each.summary, "proved_at": proved_at, "remembered": False} for each in found]

@@ -38,6 +38,7 @@ from dmframe.simulate.march import Progress
 from dmframe.simulate.run import check_run
 
 if TYPE_CHECKING:
+    from dmframe.bounds.given import Torque
     from dmframe.certify import Verdict
 
 
@@ -237,13 +238,25 @@ class BaseGraph:
         with self.placing():
             return simulate(diagram or self.diagram, self.file.duration, **settings)
 
-    def verdict(self, diagram: Diagram | None = None, *, seed: int = 0, copies: bool = False) -> Verdict:
-        """Prove it, or give the reason why not. See `dmframe.certify.verify`."""
+    def verdict(
+        self,
+        diagram: Diagram | None = None,
+        *,
+        seed: int = 0,
+        copies: bool = False,
+        over: float | None = None,
+        disturbance: Torque = 0.0,
+    ) -> Verdict:
+        """Prove it, or give the reason why not, and bound its errors: `dmframe.certify.verify`, `dmframe.bounds`."""
+        from dmframe.bounds import error_bounds
         from dmframe.certify import verify
 
         diagram = diagram or self.diagram
         with self.placing(), SYMBOLIC:
-            return verify(diagram, seed=seed, uncertain=self.intervals(diagram), start=self.start, copies=copies)
+            given, start = self.intervals(diagram), self.start
+            found = verify(diagram, seed=seed, copies=copies, uncertain=given, start=start)
+            errors = error_bounds(found, over=over, disturbance=disturbance, uncertain=given, start=start)
+            return replace(found, errors=errors)
 
     def intervals(self, diagram: Diagram | None = None) -> Mapping[str, Sequence[Interval]]:
         """The true parameters that the file gives as intervals.

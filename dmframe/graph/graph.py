@@ -17,6 +17,7 @@ from dmframe.graph.doubts import doubts
 from dmframe.graph.progress import progress_line, shown
 
 if TYPE_CHECKING:
+    from dmframe.bounds.given import Torque
     from dmframe.drawing import Drawing
     from dmframe.drive import Rehearsal, Replay
     from dmframe.export import TargetFunction
@@ -120,21 +121,33 @@ class Graph(BaseGraph):
         with SYMBOLIC:
             return check_laws(self.diagram)
 
-    def verify(self, *, seed: int = 0) -> Verification:
+    def verify(self, *, seed: int = 0, over: float | str = "60 s", disturbance: Torque = 0.0) -> Verification:
         """Prove its Lyapunov derivative exactly for all values of its gains and parameters, or give the reason why not.
 
         Parameters
         ----------
         seed
             Of the random points and primes.
+        over
+            Length of the run for bounds on the tracking error [s].
+        disturbance
+            Bound on a disturbance torque, one for all joints or one for each [N m].
+
+        Raises
+        ------
+        DmframeError
+            A time that is not above zero, a negative torque, or another number of torques than joints.
         """
+        from dmframe.bounds.given import torques_of
         from dmframe.report.verification import Verification
 
         if isinstance(seed, bool) or not isinstance(seed, int):
             raise ValueFault(f"seed: expected a whole number, found {seed!r:.40}")
+        until, robot = seconds("over", over), self.diagram.robot
+        torques = torques_of(disturbance, 1 if robot is None else robot.n)
         with progress_line(self.name) as tell:
             tell("proving")
-            verdict = self.verdict(seed=seed, copies=True)
+            verdict = self.verdict(seed=seed, copies=True, over=until, disturbance=torques)
         return Verification(self, verdict, seed)
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:

@@ -131,7 +131,7 @@ class Claim:
         Quantified symbols.
     gains
         Labels of the parameters that have copies, inputs after the symbols, for the rates and next values: a fault
-            changes the copies only.
+        changes the copies only.
     program
         All expressions, with the symbols and these copies as inputs.
     operator

@@ -31,7 +31,7 @@ class Refutation:
         Minimal set: the residual is nonzero with all other signals at zero, and zero if any one of these is zero as
         well. The exact point: residues, modulo the prime, of every symbol and of every function that a field does not
         have,
-            ``"cos, sin of 123": (4, 5)``; and the residual there.
+        ``"cos, sin of 123": (4, 5)``; and the residual there.
     statement
         The failing equality: ``dV/dt`` of the diagram, or ``block: dS/dt``, ``block: sigma``, ``block: V(next) - V``.
     """

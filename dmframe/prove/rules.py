@@ -41,7 +41,7 @@ class Rule:
         Number of parameters of each output of the estimator.
     rows
         Number of pairs ``h0, y0, h1, y1 ...`` that the parts contain in addition to ``theta, true, gain, floor``,
-            ``lower, upper`` of a box, and ``gathered, retention`` of least squares.
+        ``lower, upper`` of a box, and ``gathered, retention`` of least squares.
     """
 
     rule: Literal["normalised", "least_squares"]

@@ -17,7 +17,7 @@ from dmframe.remembered.inputs import digest, unchanged
 
 WIDEST: Final = 116
 """Largest number of columns of a verdict's text, and the number without a terminal."""
-_VALUES: Final = {"verify": ("--set", "--seed"), "run": ("--set", "--until", "--reality")}
+_VALUES: Final = {"verify": ("--set", "--seed", "--over", "--disturbance"), "run": ("--set", "--until", "--reality")}
 """Options with a value on which a verdict, or the conclusions of a run, depends."""
 _FLAGS: Final = {"verify": ("--json", "--fresh"), "run": ("--json", "--fresh", "--no-plots", "--page", "--force")}
 _APART: Final = {"verify": (), "run": ("--out", "-o", "--engine", "--figures")}

@@ -11,6 +11,7 @@ from dmframe.block.parameter import specs
 from dmframe.block.prose import About, about
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
+from dmframe.certify.error_bound import ErrorBounds
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
 from dmframe.common.text import Text, text_of
@@ -123,6 +124,8 @@ class Content:
         See `dmframe.results.folder.provenance`.
     resolved
         The graph with all defaults written out, as YAML.
+    errors
+        Bounds on the tracking errors of a proved graph.
     own
         Further sections, which the caller of the report gave.
     """
@@ -150,6 +153,7 @@ class Content:
     provenance: Mapping[str, Any]
     replay: str
     resolved: str
+    errors: ErrorBounds | None = None
     own: tuple[Section, ...] = ()
 
 
@@ -198,7 +202,7 @@ def gather(
         follows=tuple(_follows(verdict.statements)) if verdict.outcome == "proved" else (),
         controls=tuple((control.fault.marked, control.refuted) for control in verdict.controls),
         witness=_witness(verdict),
-        uncertain=tuple((label, str(ends)) for label, ends in graph.file.uncertain.items()),
+        uncertain=tuple((label, _interval_text(ends)) for label, ends in graph.file.uncertain.items()),
         measured=measure(graph, verdict, tell),
         linear=linear_view(graph, tell),
         model=robot_model(diagram.robot),
@@ -206,6 +210,7 @@ def gather(
         provenance=provenance(graph, resolved, field_hash=diagram.fingerprint, seed=seed, command=command),
         replay=shlex.join(command),
         resolved=resolved,
+        errors=verdict.errors if verdict.outcome == "proved" else None,
     )
 
 
@@ -269,6 +274,10 @@ def _follows(statements: Sequence[Statement]) -> list[Follows]:
         )
         for (says, step, _), items in grouped.items()
     ]
+
+
+def _interval_text(ends: Any) -> str:
+    return f"one factor for all elements, {ends['factor']}" if isinstance(ends, Mapping) else str(ends)
 
 
 def _witness(verdict: Verdict) -> Witness | None:

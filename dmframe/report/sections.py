@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from dmframe.common.plotting import unit_text
+from dmframe.common.units import plain
 from dmframe.report.content import BlockLaw, Content, Follows, Opening
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS
 from dmframe.report.parts import (
@@ -28,8 +29,10 @@ from dmframe.report.parts import (
     Word,
 )
 from dmframe.report.terms import TermRow, Terms
+from dmframe.report.verdict_text import contribution_of, disturbance_of, size_of
 
 _SIDES: Final = {"source": "desired trajectory", "controller": "controller", "plant": "robot and servo"}
+_KINDS: Final = {"rms": "root mean square", "sup": "largest value"}
 _TERM_HEADS: Final = ("block", "square of", "weight", (), "at this graph's numbers", "times")
 _KAPPA: Final = Formula(r"\kappa")
 WIDE: Final = 900.0
@@ -45,7 +48,7 @@ def sections(content: Content) -> Iterator[Section]:
     yield Section("laws", "The laws", [*_laws(r)])
     yield Section("terms", "V and its derivative", [*_terms(r)])
     yield Section("conditions", "Conditions and assumptions", [*_conditions(r)])
-    yield Section("follows", "What follows", [_follows(r.follows)])
+    yield Section("follows", "What follows", [_follows(r.follows), *_error_bounds(r)])
     yield Section("run", "The loop as it runs", [*_run(r)])
     yield Section("linear", "Poles, margins and the sampling period", [*_linear(r)])
     yield Section("controls", "Fault injection", [*_controls(r)])
@@ -270,6 +273,24 @@ def _follows(follows: Sequence[Follows]) -> Part:
         assumed = Word(Marked(f"Assuming: {'; '.join(item.assumes)}."), "next") if item.assumes else ""
         rows.append((tuple(_joined(item.signals, "; ")), item.says, (Marked(item.step), assumed)))
     return Table(rows, ("signals", "each", "because"), kind="follows")
+
+
+def _error_bounds(r: Content) -> Iterator[Part]:
+    if r.errors is None or not r.errors.found:
+        return
+    first = r.errors.found[0]
+    rows = [(Formula(f"|{item.signal.latex}|"), _KINDS[item.kind], size_of(item)) for item in r.errors.found]
+    yield Table(
+        rows,
+        ("error", (), "bound"),
+        Marked(
+            f"Bounds over a run of {plain(first.over_s, 's')} from the graph's start, in {first.holds}, for all "
+            f"parameters in the intervals; {disturbance_of(first)}. The errors of a run are smaller."
+        ),
+        kind="bounds",
+    )
+    texts = [*dict.fromkeys(map(contribution_of, r.errors.found)), *r.errors.missing]
+    yield Bullets([(f"{text[0].upper()}{text[1:]}.",) for text in texts])
 
 
 def _run(r: Content) -> Iterator[Part]:

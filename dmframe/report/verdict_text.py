@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterable, Iterator
 from textwrap import fill
@@ -9,14 +10,19 @@ from typing import Any, Final
 
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
+from dmframe.certify.error_bound import ErrorBound
 from dmframe.common.columns import columns
 from dmframe.common.names import unicode_name
 from dmframe.common.text import DV, KAPPA, Text, joined, text_of
+from dmframe.common.units import plain
 from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
 
 HARD: Final = "\N{NO-BREAK SPACE}"
 WIDEST: Final = 116
+LARGE: Final = 1.0
+"""Bounds from here on are not printed: they are as large as the robot [rad or m]."""
+NORMS: Final = {"rms": "root mean square of |{}|", "sup": "largest |{}|"}
 
 
 def verdict_text(name: str, verdict: Verdict, *, times: bool = True) -> str:
@@ -48,6 +54,8 @@ def verdict_text(name: str, verdict: Verdict, *, times: bool = True) -> str:
         parts += ["  assumptions", *(_line(text_of(item.text)) for item in verdict.assumptions)]
     if verdict.statements and verdict.outcome == "proved":
         parts += ["  conclusions", *_followed(verdict)]
+    if verdict.errors is not None and verdict.outcome == "proved":
+        parts += list(_error_bounds(verdict))
     if verdict.flow_claim is not None and times:
         parts.append(f"  {verdict.build:.2f} s to build V and {DV.unicode}, {verdict.check:.2f} s to decide")
     return "\n".join(parts)
@@ -84,6 +92,54 @@ def _followed(verdict: Verdict) -> Iterator[str]:
     for item in (item for item in verdict.statements if item.concludes):
         assumed = Text(", assuming that ", joined(item.assumes, " and ")) if item.assumes else ""
         yield _line(Text("=> ", item.signal, f" {item.says}: ", item.step, assumed))
+
+
+def _error_bounds(verdict: Verdict) -> Iterator[str]:
+    """The bounds, their largest contributions, and why there are no others."""
+    assert verdict.errors is not None
+    found = verdict.errors.found
+    if not found:
+        return
+    over, holds = plain(found[0].over_s, "s"), found[0].holds
+    yield f"  bounds over {over} from the graph's start, in {holds}; {disturbance_of(found[0])}"
+    rows = [(NORMS[bound.kind].format(bound.signal.unicode), size_of(bound)) for bound in found]
+    yield columns(rows, "    ")
+    for contribution in dict.fromkeys(map(contribution_of, found)):
+        yield _wrap(contribution)
+    for reason in verdict.errors.missing:
+        yield _wrap(reason)
+
+
+def disturbance_of(bound: ErrorBound) -> str:
+    """The assumed disturbance in words."""
+    if not any(bound.disturbance):
+        return "no disturbance torque"
+    same = len(set(bound.disturbance)) == 1
+    torques = ", ".join(f"{each:g}" for each in (bound.disturbance[:1] if same else bound.disturbance))
+    return f"disturbance torque at most {torques} N m" + " at each joint" * same
+
+
+def size_of(bound: ErrorBound) -> str:
+    """The bound with its unit."""
+    small = bound.value < LARGE
+    return f"≤ {plain(rounded_up(bound.value), bound.unit)}" if small else f"no bound below {LARGE:g} {bound.unit}"
+
+
+def rounded_up(value: float, digits: int = 3) -> float:
+    """The next number with that many digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1) if value > 0 else 1.0
+    return math.ceil(value / step) * step
+
+
+def contribution_of(bound: ErrorBound) -> str:
+    """The largest contribution to a bound, and what would lower it."""
+    share = bound.dominated_by
+    lowered = f", which {' or '.join(share.lowered_by)} lowers" if share.lowered_by else ""
+    return f"largest contribution: {share.of.unicode}{' at the start' * share.of_start}{lowered}"
+
+
+def _wrap(text: str) -> str:
+    return fill(f"    {text}", **_wrapped())
 
 
 def _renamed_goals(verdict: Verdict) -> Iterator[tuple[str, str, str]]:

@@ -123,10 +123,15 @@ def is_graph(document: Document) -> bool:
 def _with_uncertain(document: Document, graph: Graph, fixed: Sequence[str]) -> Document:
     """The study, with the graph's section `uncertain` instead of its empty `sample`.
 
-    Each element is drawn uniformly from its interval, independent of the others; labels that the study sets are not.
+    Each element is drawn uniformly from its interval, independent of the others, also where the section confines a
+    ratio or has one factor for all elements; labels that the study sets are not drawn.
     """
+    from dmframe.certify.uncertain import tie_of
+
     drawn = dict[str, Any]()
     for label, own in graph.intervals().items():
+        if tie_of(label) is not None:
+            continue
         ends = [[float(each.lower) for each in own], [float(each.upper) for each in own]]
         if label in fixed or ends[0] == ends[1]:
             continue

@@ -20,12 +20,12 @@ function node(kind, textContent, more) {
   return Object.assign(document.createElement(kind), { textContent, ...more });
 }
 
-function proofOf({ status, reason, conclusions, believed, robot, assumed, statement, points, log2_error: error }) {
+function proofOf({ status, reason, conclusions, not_checked: open, robot, assumed, statement, points, log2_error: error }) {
   if (status !== "re-proved") return node("p", `The certificate in this page is ${status}: ${reason}`);
   const all = node("details");
   all.append(node("summary", `Proved again in this browser by an independent program: the identity of ${statement} ` +
-    `at ${points} random points, with an error below 2^${error}, and ${conclusions.length} conclusions; ${believed.length} are believed`));
-  for (const [title, lines] of Object.entries({ Conclusions: [...robot, ...conclusions], Believed: believed, Assumed: assumed })) {
+    `at ${points} random points, with an error below 2^${error}, and ${conclusions.length} conclusions; ${open.length} were not checked, and ${assumed.length} statements are assumed`));
+  for (const [title, lines] of Object.entries({ Conclusions: [...robot, ...conclusions], "Not checked": open, Assumed: assumed })) {
     const list = node("ul");
     list.append(...lines.map((x) => node("li", x)));
     all.append(node("p", title), list);

@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import shutil
+import subprocess
+from collections.abc import Sequence
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
+
+import pytest
 
 import dmframe as dm
 from dmframe.certify.published import certificate_text
 
 CHECKER = Path(dm.__file__).parent / "checker" / "check.py"
+
+
+MISSING: Final = {
+    "observed_tracking_forgetting_pi": "unknown rule gathered",
+    "torque_consistent_pi": "unknown rule log_det",
+    "ur10_consistent": "unknown rule log_det",
+    "ur10_fast_best": "unknown rule least_squares",
+    "ur10_slow_best": "unknown rule least_squares",
+}
+"""Packaged graphs that the checkers refuse, and the rule that they do not know."""
 
 
 @cache
@@ -39,30 +54,40 @@ def certificate(name: str) -> dict[str, Any]:
     return deepcopy(found)
 
 
-def outcome(data: Any) -> tuple[str, str]:
-    """Outcome of the check, and the reason."""
+def result(data: Any) -> dict[str, Any]:
+    """Result of `check.py`, as that of `check.js`: of a file that is not accepted, the status and the reason."""
     check = checker()
     try:
-        check.check(data)
+        found: dict[str, Any] = check.check(deepcopy(data))
     except check.Refuted as error:
-        return "refuted", str(error)
-    except (check.Refused, KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        return "refused", str(error)
-    return "re-proved", ""
+        return {"status": "refuted", "reason": str(error)}
+    except check.Refused as error:
+        return {"status": "refused", "reason": str(error)}
+    return found
+
+
+def outcome(data: Any) -> tuple[str, str]:
+    """Outcome of the check, and the reason."""
+    found = result(data)
+    return found["status"], found.get("reason", "")
 
 
 def negate(data: dict[str, Any], vector: int) -> None:
     """Change the sign of a vector by new instructions; other vectors keep theirs."""
     program, (rows, elements) = data["program"], data["vectors"][vector]
-    if "neg" not in program["operations"]:
-        program["operations"].append("neg")
-    moved = []
+    for name in {"const", "mul"} - {*program["operations"]}:
+        program["operations"].append(name)
+    program["constants"].append("-1")
+
+    def instruction(name: str, a: int, b: int) -> int:
+        for key, value in (("code", program["operations"].index(name)), ("a", a), ("b", b)):
+            program[key].append(value)
+        return len(program["code"]) - 1
+
+    minus, moved = instruction("const", len(program["constants"]) - 1, 0), []
     for element in elements:
         if element >= 0:
-            program["code"].append(program["operations"].index("neg"))
-            program["a"].append(element)
-            program["b"].append(element)
-            element = len(program["code"]) - 1
+            element = instruction("mul", minus, element)
         moved.append(element)
     data["vectors"].append([rows, moved])
 
@@ -71,3 +96,39 @@ def replaced(data: dict[str, Any], vector: int) -> int:
     """Position of the negated copy of a vector."""
     negate(data, vector)
     return len(data["vectors"]) - 1
+
+
+SCRIPT: Final = CHECKER.with_suffix(".js")
+DRIVER: Final = (
+    "const { check } = require(process.argv[1]);"
+    "const files = JSON.parse(require('fs').readFileSync(0, 'utf8'));"
+    "console.log(JSON.stringify(files.map((file) => check(file))));"
+)
+SAME: Final = (
+    "statement",
+    "robot",
+    "kappa_above",
+    "only_at_exact_values_of",
+    "conclusions",
+    "not_checked",
+    "assumed",
+)
+"""Parts of a result that both checkers have in common."""
+
+
+def node_path() -> str:
+    """Path of Node; the test is skipped without it."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed")
+    return node
+
+
+def in_node(files: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Result of `check.js` for each file."""
+    done = subprocess.run(
+        [node_path(), "-e", DRIVER, str(SCRIPT)], input=json.dumps(files), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found: list[dict[str, Any]] = json.loads(done.stdout)
+    return found

@@ -31,7 +31,8 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _certificate(folder: Path) -> None:
     path = folder / "certificate.json"
     data = json.loads(path.read_text())
-    data["numbers"]["inverse.Lambda"] = ["-1"]
+    (gain,) = (item for item in data["symbols"] if item["label"] == "inverse.Lambda")
+    gain["numbers"] = [["-1", "-1"]]
     path.write_text(json.dumps(data))
 
 

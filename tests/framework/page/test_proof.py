@@ -14,8 +14,7 @@ from in_chromium import chromium
 import dmframe as dm
 from dmframe.page.page import assembled
 from dmframe.page.proof import Proof, checker_script, packed, proof_of
-from tests.framework.checker.certificates import certificate, replaced
-from tests.framework.checker.test_check_js import SAME, node_path
+from tests.framework.checker.certificates import SAME, certificate, node_path, replaced
 from tests.framework.in_node import content
 
 NAME = "pendulum"

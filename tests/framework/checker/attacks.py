@@ -1,0 +1,398 @@
+"""Files that state more than is true, written with the checkers' source at hand.
+
+`holes` repeats each hole that was found in a first version of the checkers; `more` are further attempts. An entry is a
+name, the file, and the outcomes that are allowed. ``w`` stands for: re-proved, but the statement about w is not shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+from tests.framework.checker.certificates import certificate, replaced
+
+Attack = tuple[str, dict[str, Any], str]
+FLOW: Final = ("cross", "projections", "masses", "linear", "ranks")
+
+
+class File:
+    """A certificate that is written by hand: symbols of one element, and a program."""
+
+    def __init__(self, over: str = "flow") -> None:
+        self.names = ["const", "input", "add", "sub", "mul", "div", "sin", "tanh"]
+        program: dict[str, list[Any]] = {"operations": self.names, "code": [], "a": [], "b": [], "constants": []}
+        self.data: dict[str, Any] = {"format": "dmframe-certificate", "version": 2, "about": {}, "over": over}
+        lists = ("symbols", "vectors", "terms", "conditions", "conclusions", "assumed")
+        self.data |= {key: [] for key in (*lists, *(FLOW if over == "flow" else ("steps",)))}
+        self.data |= {"program": program, "rates": {}}
+
+    def instruction(self, name: str, a: int, b: int = 0) -> int:
+        for key, value in (("code", self.names.index(name)), ("a", a), ("b", b)):
+            self.data["program"][key].append(value)
+        return len(self.data["program"]["code"]) - 1
+
+    def symbol(self, label: str, kind: str, **more: Any) -> int:
+        self.data["symbols"].append({"label": label, "kind": kind, "size": 1, **more})
+        return self.instruction("input", len(self.data["symbols"]) - 1)
+
+    def number(self, value: str) -> int:
+        self.data["program"]["constants"].append(value)
+        return self.instruction("const", len(self.data["program"]["constants"]) - 1)
+
+    def vector(self, *places: int) -> int:
+        self.data["vectors"].append([len(places), list(places)])
+        return len(self.data["vectors"]) - 1
+
+    def term(self, role: str, vector: int, weight: int, level: str = "") -> None:
+        parts = {"vector": vector, "weight": weight}
+        name = f"{role} {len(self.data['terms'])}"
+        self.data["terms"].append({"name": name, "level": level, "role": role, "rule": "square", "parts": parts})
+
+    def states(self, **rates: str) -> dict[str, int]:
+        """States with a rate that is a sum of multiples of states: ``x="-1 x +2 y"``."""
+        places = {label: self.symbol(label, "state") for label in rates}
+        for label, text in rates.items():
+            words, total = text.split(), self.number("0")
+            for factor, other in zip(words[::2], words[1::2], strict=True):
+                own = self.instruction("mul", self.number(factor.lstrip("+")), places[other])
+                total = self.instruction("add", total, own)
+            self.data["rates"][label] = self.vector(total)
+        return places
+
+
+def concluded(data: dict[str, Any], vector: int, says: str = "goes to zero", signal: str = "w") -> None:
+    """Add a conclusion about a signal."""
+    data["conclusions"].append({"signal": signal, "says": says, "assumes": [], "vector": vector})
+
+
+def constant(data: dict[str, Any], *values: str, rows: int = 0) -> int:
+    """A new vector of numbers."""
+    program, places = data["program"], []
+    for value in values:
+        program["constants"].append(value)
+        program["code"].append(program["operations"].index("const"))
+        program["a"].append(len(program["constants"]) - 1)
+        program["b"].append(0)
+        places.append(len(program["code"]) - 1)
+    data["vectors"].append([rows or len(places), places])
+    return len(data["vectors"]) - 1
+
+
+def stable() -> File:
+    """dx/dt = -x with V = x^2 / 2: a true file."""
+    file = File()
+    x, one = file.vector(file.states(x="-1 x")["x"]), file.vector(file.number("1"))
+    file.term("stored", x, one)
+    file.term("dissipated", x, one)
+    concluded(file.data, x, signal="x")
+    return file
+
+
+def dominated(*, weight: tuple[str, ...] = ("3/5",), role: str = "cross") -> File:
+    """dx/dt = -x + c (x + y), dy/dt = -y + c (x + y) is unstable for c = 3/5; c |x + y|^2 is a cross term."""
+    file = File()
+    c = weight[0]
+    total = {"3/5": "2/5", "1/5": "4/5"}[c]
+    places = file.states(x=f"-{total} x +{c} y", y=f"-{total} y +{c} x")
+    x, y, one = file.vector(places["x"]), file.vector(places["y"]), file.vector(file.number("1"))
+    both = file.vector(file.instruction("add", places["x"], places["y"]))
+    for role_ in ("stored", "dissipated"):
+        file.term(role_, x, one)
+        file.term(role_, y, one)
+    file.term(role, both, file.vector(*map(file.number, weight)))
+    file.data["cross"] = [{"term": 4, "by": [[one, 2], [one, 3]]}]
+    concluded(file.data, x)
+    return file
+
+
+def circular(*, nominal: str) -> dict[str, Any]:
+    """A true identity with two estimates a and b; the rate of a is that of the symbol `nominal`, plus its correction.
+
+    V = (a^2 + b^2 + x^2) / 2, da/dt = nominal + c_a, db/dt = c_a + c_b, dx/dt = -x - (a nominal + b c_a) / x.
+    """
+    file = File()
+    a, b, x = (file.symbol(label, "state") for label in "abx")
+    ca, cb = (file.symbol(f"{label}, correction", "projection") for label in "ab")
+    one = {"a": a, "b, correction": cb}[nominal]
+    zero, low, high = (file.vector(file.number(text)) for text in ("0", "-9", "9"))
+    unit = file.vector(file.number("1"))
+    product = file.instruction
+    moved = product("add", product("mul", a, one), product("mul", b, ca))
+    slow = product("sub", product("sub", file.number("0"), x), product("div", moved, x))
+    rates = {"a": product("add", one, ca), "b": product("add", ca, cb), "x": slow}
+    file.data["rates"] = {label: file.vector(place) for label, place in rates.items()}
+    for place in (a, b, x):
+        file.term("stored", file.vector(place), unit)
+    file.term("dissipated", file.data["terms"][2]["parts"]["vector"], unit)
+    own = {"set": "box", "true": zero, "lower": low, "upper": high}
+    for k, label in enumerate("ab"):
+        item = {"term": k, "state": label, "correction": f"{label}, correction", **own}
+        file.data["projections"].append(item)
+    concluded(file.data, file.data["rates"]["a"], "is bounded")
+    return file.data
+
+
+def _of(name: str, change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+    data = certificate(name)
+    change(data)
+    return data
+
+
+def holes() -> Iterator[Attack]:
+    """Holes 1 to 18 that were found and closed; 12 and 19 are no files, and have tests of their own."""
+    file = File()
+    places = file.states(x="-1 x +9 y", y="+0 x -1 y")
+    both, weight = file.vector(*places.values()), file.vector(*map(file.number, ("1", "0", "4", "1")))
+    file.term("stored", both, weight)
+    yield "1 a matrix with positive pivots that is not symmetric", file.data, "refuted"
+
+    yield "2 a cross term with a diagonal as weight", dominated(weight=("3/5", "3/5")).data, "refused refuted"
+    yield "3 two squares with the same share count twice", dominated().data, "refuted"
+    yield "4 a mass matrix as a diagonal", _of("arm2_joint", _flattened), "refuted"
+
+    def axis(data: dict[str, Any]) -> None:
+        data["masses"][0]["joints"][0]["axis"] = ["0", "0", "0"]
+
+    def reflected(data: dict[str, Any]) -> None:
+        data["masses"][0]["joints"][1]["rotation"] = ["-1", "0", "0", "0", "1", "0", "0", "0", "1"]
+
+    yield "5 a joint without an axis", _of("arm2_joint", axis), "refused"
+    yield "5 a reflection", _of("arm2_joint", reflected), "refused"
+
+    data = stable().data
+    data["steps"] = certificate("ur10_slow_repetitive")["steps"]
+    yield "6 steps in continuous time", data, "refused"
+
+    file = stable()
+    noise = file.symbol("noise", "noise")
+    data = file.data
+    parts = {"vector": file.vector(noise), "weight": data["terms"][0]["parts"]["weight"]}
+    data["terms"].append({"name": "noise", "level": "", "role": "stored", "rule": "square", "parts": parts})
+    yield "7 V of a noise without a rate", data, "refused"
+
+    def ball(data: dict[str, Any]) -> None:
+        data["projections"][0]["set"] = "ball"
+
+    yield "8 a projection onto an unknown set", _of("arm2_joint", ball), "refused"
+
+    file = File()
+    x = file.vector(file.states(x="+1 x")["x"])
+    file.term("stored", x, file.vector(file.number("-1")))
+    file.term("dissipated", x, file.vector(file.number("1")))
+    for term in file.data["terms"]:
+        term["assumed"] = "it is"
+    yield "9 a negative weight that is assumed to be positive", file.data, "refuted"
+
+    file = stable()
+    y = file.vector(file.symbol("y", "state"))
+    file.data["rates"]["y"] = file.vector(file.number("1"))
+    file.data["ranks"] = [{"name": "R", "matrix": file.vector(file.number("0")), "vector": y}]
+    concluded(file.data, y)
+    yield "10 a matrix of full rank that is zero", file.data, "w"
+
+    def resting(data: dict[str, Any]) -> None:
+        names, zero = ("velocity", "acceleration", "torque"), constant(data, "0", "0")
+        data["masses"][0]["motion"] = dict.fromkeys(names, zero) | {"gravity": constant(data, "0", "0", "0")}
+
+    yield "11 a robot at rest", _of("arm2_joint", resting), "refuted"
+
+    file = stable()
+    K = file.symbol("K", "parameter", numbers=[["60", "60"]])
+    pole = file.instruction("div", file.number("1"), file.instruction("sub", K, file.number("60")))
+    concluded(file.data, file.vector(pole))
+    yield "13 a divisor that vanishes at the file's numbers", file.data, "refused"
+
+    file = stable()
+    place = file.number("3")
+    for _ in range(60):
+        place = file.instruction("mul", place, place)
+    file.data["conditions"].append({"name": "open", "margin": file.vector(place), "strict": True})
+    yield "14 a number of 2^60 digits", file.data, "open"
+
+    data = circular(nominal="a")
+    for item in data["projections"]:
+        item["lower"], item["upper"] = item["upper"], item["lower"]
+    yield "15 a box whose ends are exchanged", data, "refuted"
+
+    for what, change in {
+        "no rows": {"rows": -1},
+        "a truth value as rows": {"rows": True},
+        "half a row": {"rows": 1.5},
+        "sizes as texts": {"sizes": ["1"]},
+        "a size of zero": {"sizes": [0]},
+    }.items():
+        data = certificate("ur10_slow_repetitive")
+        data["steps"][0].update(change)
+        yield f"16 {what}", data, "refused"
+
+    yield "17 corrections that depend on one another", circular(nominal="b, correction"), "w"
+    yield "18 a residual as a cross term", dominated(role="residual").data, "refused"
+
+
+def _flattened(data: dict[str, Any]) -> None:
+    """V = sum of M_ij x_ij^2 with a robot at rest: it is constant, and not positive."""
+    mass = next(x for x in data["masses"])
+    mass.pop("motion")
+    symbol = next(k for k, x in enumerate(data["symbols"]) if x["label"] == "dynamics.a_d_hat")
+    program, places = data["program"], []
+    for element in range(len(data["vectors"][mass["weight"]][1])):
+        program["code"].append(program["operations"].index("input"))
+        program["a"].append(symbol)
+        program["b"].append(element)
+        places.append(len(program["code"]) - 1)
+    data["vectors"].append([len(places), places])
+    parts = {"vector": len(data["vectors"]) - 1, "weight": mass["weight"]}
+    data["terms"] = [{"name": "flat", "level": "", "role": "stored", "rule": "square", "parts": parts}]
+    for label, vector in data["rates"].items():
+        rows, elements = data["vectors"][vector]
+        data["vectors"].append([rows, [-1] * len(elements)])
+        data["rates"][label] = len(data["vectors"]) - 1
+    data |= {key: [] for key in ("cross", "projections", "linear", "ranks", "conditions", "conclusions")}
+
+
+def more() -> Iterator[Attack]:
+    """Further attempts."""
+    data = stable().data
+    data["terms"] = []
+    yield "V without a term", data, "refused"
+
+    for weight, allowed in (("0", "refuted"), ("-1", "refuted")):
+        file = stable()
+        own = file.vector(file.number(weight))
+        for term in file.data["terms"]:
+            term["parts"]["weight"] = own
+        yield f"a weight of {weight}", file.data, allowed
+
+    file = stable()
+    for term in file.data["terms"]:
+        term["parts"]["vector"] = file.vector(-1)
+    yield "V of a vector that is zero", file.data, "refuted"
+
+    file = File()
+    x = file.vector(file.states(x="+1 x")["x"])
+    file.term("stored", x, file.vector(file.number("1")))
+    file.term("residual", x, file.vector(file.number("1")))
+    concluded(file.data, x, "is bounded")
+    yield "an unstable state with a residual", file.data, "w"
+
+    file = stable()
+    x = file.data["vectors"][file.data["terms"][0]["parts"]["vector"]][1][0]
+    zero = file.instruction("sub", x, x)
+    file.data["conditions"].append(
+        {"name": "zero", "margin": file.vector(file.instruction("div", x, zero)), "strict": True}
+    )
+    yield "a divisor that is identically zero", file.data, "refused"
+
+    file = stable()
+    free = file.symbol("free", "parameter")
+    file.data["conditions"].append({"name": "open", "margin": file.vector(free), "strict": True})
+    yield "a condition on a parameter without numbers", file.data, "open"
+
+    file = stable()
+    file.symbol("K", "parameter", numbers=[["2", "1"]])
+    yield "an interval with its ends exchanged", file.data, "refused"
+
+    file = stable()
+    y = file.vector(file.symbol("y", "state"))
+    file.data["rates"]["y"] = file.vector(file.number("1"))
+    file.data["linear"] = [{"vectors": [y], "rates": [[file.vector(file.number("1"))]]}]
+    concluded(file.data, y, "is bounded")
+    yield "an unstable linear equation", file.data, "w"
+
+    file = stable()
+    y = file.vector(file.symbol("y", "state"))
+    file.data["rates"]["y"] = file.vector(file.number("1"))
+    concluded(file.data, y, "is bounded")
+    yield "a state that grows", file.data, "w"
+
+    file = stable()
+    file.symbol("y", "state")
+    correction = file.symbol("y, correction", "projection")
+    file.data["rates"]["y"] = file.vector(correction)
+    concluded(file.data, file.data["rates"]["y"], "is bounded")
+    yield "a correction without a projection", file.data, "w"
+
+    def shorter(data: dict[str, Any]) -> None:
+        data["masses"][0]["joints"].pop()
+
+    def crossed(data: dict[str, Any]) -> None:
+        term = next(term for term in data["terms"] if term["rule"] == "monotone")
+        term["parts"]["weight"] = constant(data, "1", "0", "4", "1")
+
+    yield "a chain with fewer joints than positions", _of("arm2_joint", shorter), "refused"
+    yield "a matrix as the weight of a monotone term", _of("arm2_joint", crossed), "refused"
+
+    file = stable()
+    place = file.number("2")
+    for _ in range(2000):
+        place = file.instruction("mul", place, place)
+    file.vector(place)
+    yield "a number of 2^2000 digits", file.data, "refused"
+
+    for key, value in {
+        "text": "1",
+        "a truth value": True,
+        "a list": [1],
+        "nothing": None,
+        "a number beyond the vectors": 10**30,
+        "a negative number": -1,
+        "a fraction": 0.5,
+    }.items():
+        data = stable().data
+        data["terms"][0]["parts"]["vector"] = value
+        yield f"{key} as a vector", data, "refused"
+
+    for value in ("1e3", "1/0", "-", "", " 1", "0x1", "1_0", "nan", "inf", "²", "9" * 5000, "1/-2", 1, None):
+        file = stable()
+        file.number("1")
+        file.data["program"]["constants"][-1] = value
+        yield f"the constant {value!r:.12}", file.data, "refused"
+
+    file = stable()
+    file.instruction("add", len(file.data["program"]["code"]), 0)
+    yield "an instruction that reads itself", file.data, "refused"
+
+    file = stable()
+    file.names.append("system")
+    yield "an operation that is not used", file.data, "re-proved"
+    file = stable()
+    file.names.append("system")
+    file.instruction("system", 0, 0)
+    yield "an unknown operation", file.data, "refused"
+
+    file = stable()
+    file.symbol("x", "state")
+    yield "two symbols of one label", file.data, "refused"
+
+    for key in ("version", "terms", "rates", "cross", "assumed"):
+        data = stable().data
+        del data[key]
+        yield f"no {key}", data, "refused"
+    for version in (1, 3, "2", 2.5, True, None):
+        data = stable().data
+        data["version"] = version
+        yield f"version {version!r}", data, "refused"
+    data = stable().data
+    data["theorem"] = "anything"
+    yield "a further key", data, "refused"
+
+    data = _of("arm2_joint", lambda data: data.update(cross=[]))
+    yield "a cross term that nothing dominates", data, "refuted"
+
+    def twice(data: dict[str, Any]) -> None:
+        data["projections"].append(data["projections"][0])
+
+    def other(data: dict[str, Any]) -> None:
+        data["projections"][0]["correction"] = data["projections"][1]["correction"]
+
+    def following(data: dict[str, Any]) -> None:
+        data["rates"]["path.q_d"] = data["rates"]["arm.q"]
+
+    def negative(data: dict[str, Any]) -> None:
+        item = next(x for x in data["conditions"] if "margin" in x and x["strict"])
+        item["margin"] = replaced(data, item["margin"])
+
+    yield "a projection that is counted twice", _of("arm2_joint", twice), "refuted"
+    yield "the correction of another estimate", _of("arm2_joint", other), "refused"
+    yield "a trajectory that follows the robot", _of("pendulum", following), "refuted"
+    yield "a condition of the other sign", _of("arm2_joint", negative), "refuted"

@@ -1,0 +1,348 @@
+"""Random changes of single entries of certificates: ``python tests/framework/checker/corruptions.py 10000``.
+
+Every change that the checker accepts must be harmless, which is decided without the checker's rules, in floating-point
+numbers: either all that the file states has the same values at random points as before (`same`), or what it states
+holds there (`holds`): terms are positive, dV/dt by differences along the file's rates is the negative dissipation and
+at most the residual, conditions have their signs, true values are in their boxes, and estimates follow their steps. The
+other checker must then come to the same conclusions. Changed texts are counted apart.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+sys.path.insert(0, str(Path(__file__).parents[3]))
+
+from tests.framework.checker.certificates import SAME, certificate, in_node, result
+
+NAMES: Final = (
+    "pendulum",
+    "arm2_joint",
+    "pd_torque",
+    "slotine_li",
+    "computed_torque",
+    "lesson_q_r_is_q_d",
+    "torque_direct_pi",
+    "theorem_1",
+    "ur10_fast",
+    "ur10_slow_repetitive",
+)
+KINDS: Final = ("parameter", "constant", "weight", "state", "trajectory", "projection", "time", "command", "noise")
+FUNCTIONS: Final[dict[str, Any]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "sin": lambda a, b: math.sin(a),
+    "cos": lambda a, b: math.cos(a),
+    "tanh": lambda a, b: math.tanh(a),
+    "atan": lambda a, b: math.atan(a),
+    "sqrt": lambda a, b: math.sqrt(a),
+    "fabs": lambda a, b: abs(a),
+    "fmin": lambda a, b: min(a, b),
+    "fmax": lambda a, b: max(a, b),
+    "lt": lambda a, b: float(a < b),
+    "floor": lambda a, b: math.floor(a),
+}
+
+Path_ = tuple[Any, ...]
+
+
+def leaves(item: Any, path: Path_ = ()) -> Iterator[tuple[Path_, Any]]:
+    """All entries, with their paths; a list that is empty is an entry."""
+    pairs = item.items() if isinstance(item, dict) else enumerate(item) if isinstance(item, list) else None
+    if pairs is None or not item:
+        yield path, item
+    else:
+        for key, value in pairs:
+            yield from leaves(value, (*path, key))
+
+
+def changed(value: Any, path: Path_, data: dict[str, Any], rng: random.Random) -> Any:
+    """Another value of the same kind, or of another one."""
+    if rng.random() < 0.03:
+        return rng.choice([None, True, "1", -1, 10**9, 0.5, [], {}])
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int):
+        return rng.choice([value + 1, value - 1, rng.randrange(max(2, 2 * abs(value))), -value, 0])
+    if isinstance(value, str):
+        key = path[-1]
+        choices = {
+            "kind": KINDS,
+            "role": ("stored", "dissipated", "residual", "cross"),
+            "rule": ("square", "monotone", "potential", "normalised", "least_squares"),
+            "says": ("is bounded", "goes to zero", "is square-integrable"),
+            "level": ("", "kappa"),
+            "over": ("flow", "sample"),
+        }
+        if key in choices:
+            return rng.choice(choices[key])
+        if "operations" in path:
+            return rng.choice(list(FUNCTIONS))
+        if key in ("state", "correction", "estimate"):
+            return rng.choice([item["label"] for item in data["symbols"]])
+        try:
+            number = Fraction(value)
+        except ValueError:
+            return rng.choice([value + "x", value[:-1]])
+        return str(rng.choice([-number, number + 1, number * 2, number / 3, Fraction(0)]))
+    return rng.choice([0, None, [0]])
+
+
+def corrupted(name: str, seed: int) -> tuple[dict[str, Any], Path_, Any, Any]:
+    """A certificate with one entry changed, the entry's path, and its values before and after."""
+    data, rng = certificate(name), random.Random(f"{name} {seed}")
+    sections: dict[str, list[tuple[Path_, Any]]] = {}
+    for path, value in leaves(data):
+        sections.setdefault(".".join(map(str, path[: 1 + (path[0] == "program")])), []).append((path, value))
+    path, value = rng.choice(sections[rng.choice(sorted(sections))])
+    new = value
+    while new == value and type(new) is type(value):
+        new = changed(value, path, data, rng)
+    item: Any = data
+    for key in path[:-1]:
+        item = item[key]
+    item[path[-1]] = new
+    return data, path, value, new
+
+
+# ---- What a file states, in floating-point numbers -------------------------------------------------------------------
+
+
+class Numbers:
+    """Values of a file's vectors at a point."""
+
+    def __init__(self, data: dict[str, Any], symbols: dict[str, list[float]]) -> None:
+        program, values = data["program"], list[float]()
+        own = [symbols[item["label"]] for item in data["symbols"]]
+        constants = [float(Fraction(x)) for x in program["constants"]]
+        for code, a, b in zip(program["code"], program["a"], program["b"], strict=True):
+            name = program["operations"][code]
+            if name in ("const", "input"):
+                values.append(constants[a] if name == "const" else own[a][b])
+            else:
+                values.append(FUNCTIONS[name](values[a], values[b]))
+        self.vectors = [[values[k] if k >= 0 else 0.0 for k in places] for _, places in data["vectors"]]
+
+    def term(self, term: dict[str, Any]) -> float:
+        """T of a term, written again."""
+        part = {key: self.vectors[k] for key, k in term["parts"].items()}
+        w, a = part["weight"], part.get("vector", part.get("first", []))
+        n = len(a)
+
+        def wide(x: list[float]) -> list[float]:
+            return x * n if len(x) == 1 else x
+
+        if term["rule"] == "square" and len(w) == n * n and n > 1:
+            return sum(a[i] * w[i + n * k] * a[k] for i in range(n) for k in range(n))
+        if term["rule"] == "square":
+            return sum(x * y * y for x, y in zip(wide(w), a, strict=True))
+        if term["rule"] == "potential":
+            pairs = zip(wide(w), a, wide(part["width"]), strict=True)
+            return sum(2 * x * v * v * (math.sqrt(1 + (y / v) ** 2) - 1) for x, y, v in pairs)
+        phi, rows = FUNCTIONS[term["phi"]], zip(wide(w), a, part["second"], wide(part["scale"]), strict=True)
+        return sum(x * (y - z) * (phi(y / v, 0) - phi(z / v, 0)) for x, y, z, v in rows)
+
+
+def point(data: dict[str, Any], rng: random.Random, kappa: Fraction) -> dict[str, list[float]]:
+    """Random values of all symbols, with the file's parameters, and without corrections of projections."""
+    found = dict[str, list[float]]()
+    for item in data["symbols"]:
+        own = [rng.uniform(-1.3, 1.3) for _ in range(item["size"])]
+        if "values" in item or "numbers" in item:
+            pairs = item.get("numbers") or [[x, x] for x in item["values"]]
+            own = [float(Fraction(low)) * (1 - (s := rng.random())) + float(Fraction(high)) * s for low, high in pairs]
+        elif item["kind"] == "weight":
+            own = [1.5 * float(kappa) + 0.1]
+        elif item["kind"] == "projection":
+            own = [0.0] * item["size"]
+        found[item["label"]] = own
+    return found
+
+
+def stated(data: dict[str, Any], symbols: dict[str, list[float]]) -> list[float]:
+    """Numbers of which the file's statement consists: terms, rates and all vectors that its statements name."""
+    at, found = Numbers(data, symbols), list[float]()
+    for term in data["terms"]:
+        found += [at.term(term), float(hash((term["role"], term["level"]))), float("assumed" in term)]
+    for label, k in sorted(data["rates"].items()):
+        found += [float(hash(label)), *at.vectors[k]]
+    for key in ("cross", "projections", "masses", "linear", "ranks", "steps", "conditions", "conclusions"):
+        for path, value in leaves(data.get(key, [])):
+            named = type(value) is int and path[-1:] not in (("term",), ("rows",)) and "sizes" not in path
+            found += at.vectors[value] if named and "by" not in path else [float(hash(str((path, value))))]
+    return found
+
+
+def same(data: dict[str, Any], original: dict[str, Any], kappa: Fraction) -> bool:
+    """True if a file states the same as the original at random points: kinds, numbers and all values are the same."""
+    keys = ("format", "version", "over", "symbols")
+    if any(data[key] != original[key] for key in keys):
+        return False
+    rng = random.Random(1)
+    for _ in range(3):
+        symbols = point(original, rng, kappa)
+        symbols |= {k: [rng.uniform(-1, 1) for _ in x] for k, x in symbols.items() if k.endswith(", correction")}
+        one, other = stated(data, symbols), stated(original, symbols)
+        if len(one) != len(other) or not all(
+            math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-9) for a, b in zip(one, other, strict=True)
+        ):
+            return False
+    return True
+
+
+def holds(data: dict[str, Any], found: dict[str, Any]) -> str:
+    """What a file states, and that does not hold at random points; empty if all holds."""
+    rng, points = random.Random(2), 0
+    for _ in range(30):
+        symbols = point(data, rng, Fraction(found["kappa_above"] or 0))
+        try:
+            fault = _fault(data, found, symbols, Numbers(data, symbols))
+        except (ArithmeticError, ValueError):
+            continue  # a point outside of the domain of a function
+        if fault:
+            return fault
+        points += 1
+        if points == 4:
+            return ""
+    return "no point where all functions have values"
+
+
+def _fault(data: dict[str, Any], found: dict[str, Any], symbols: dict[str, list[float]], at: Numbers) -> str:
+    for term in data["terms"]:
+        if term["role"] in ("stored", "dissipated") and at.term(term) < -1e-9:
+            return f"{term['name']} is negative"
+    for item in data["conditions"]:
+        decided = "margin" in item and f"condition: {item['name']}" not in found["assumed"]
+        if decided and min(at.vectors[item["margin"]]) < 0:
+            return f"condition {item['name']}"
+    for item in data.get("projections", []):
+        low, true, high = (at.vectors[item[key]] for key in ("lower", "true", "upper"))
+        wide = true * len(low) if len(true) == 1 else true
+        known = f"{item['state']}: its true value is inside the box" not in found["assumed"]
+        for a, x, b in zip(low, wide, high, strict=True):
+            if a > b or (known and not a - 1e-12 <= x <= b + 1e-12):
+                return f"the box of {item['state']}"
+    return _decrease(data, symbols, at) if data["over"] == "flow" else _steps(data, symbols, at)
+
+
+def _moved(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers, h: float) -> dict[str, list[float]]:
+    found = dict(symbols)
+    for label, k in data["rates"].items():
+        found[label] = [x + h * rate for x, rate in zip(symbols[label], at.vectors[k], strict=True)]
+    found |= {x["label"]: [symbols[x["label"]][0] + h] for x in data["symbols"] if x["kind"] == "time"}
+    return found
+
+
+def _decrease(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers) -> str:
+    """V is positive, and dV/dt, by differences, is at most the residual; without corrections of projections."""
+
+    def level(term: dict[str, Any]) -> float:
+        return symbols[term["level"]][0] if term["level"] else 1.0
+
+    def V(h: float) -> float:
+        moved = Numbers(data, _moved(data, symbols, at, h))
+        return sum(level(x) * moved.term(x) for x in data["terms"] if x["role"] == "stored") / 2
+
+    rate, h = math.inf, 1e-2
+    size = sum(abs(level(x) * at.term(x)) for x in data["terms"])
+    for _ in range(5):  # the differences of a smooth V converge
+        h, before = h / 8, rate
+        rate = (8 * (V(h) - V(-h)) - (V(2 * h) - V(-2 * h))) / (12 * h)
+        if abs(rate - before) < 1e-5 * (size + abs(rate)):
+            break
+    lost = sum(level(x) * at.term(x) for x in data["terms"] if x["role"] == "dissipated")
+    gained = sum(level(x) * at.term(x) for x in data["terms"] if x["role"] in ("cross", "residual"))
+    if abs(rate + lost - gained) > 1e-3 * (size + abs(rate)) + 1e-6:
+        return f"dV/dt: {rate} is not {gained - lost}"
+    residual = sum(level(x) * at.term(x) for x in data["terms"] if x["role"] == "residual")
+    return "V increases" if rate > residual + 1e-3 * (size + abs(rate)) + 1e-6 else ""
+
+
+def _steps(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers) -> str:
+    """The next values of estimates are those of normalised steps, so that the error's norm obeys the lemma."""
+    for item in data["steps"]:
+        part = {key: at.vectors[k] for key, k in item["parts"].items()}
+        theta, after, end = list(symbols[item["estimate"]]), list[float](), 0
+        for j, n in enumerate(item["sizes"]):
+            own, end = slice(end, end + n), end + n
+            now = theta[own]
+            for k in range(item["rows"]):
+                h, gain = part[f"h{k}"][own], part["gain"][own]
+                e = part[f"y{k}"][j] - sum(a * b for a, b in zip(h, now, strict=True))
+                n_ = part["floor"][0] + sum(g * a * a for g, a in zip(gain, h, strict=True))
+                if min(*gain, part["floor"][0]) <= 0:
+                    return "a gain that is not positive"
+                now = [x + g * a * e / n_ for x, g, a in zip(now, gain, h, strict=True)]
+                if item["box"]:
+                    ends = zip(now, part["lower"][own], part["upper"][own], strict=True)
+                    now = [min(max(x, low), high) for x, low, high in ends]
+            after += now
+        stated_ = at.vectors[data["rates"][item["estimate"]]]
+        if not all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(after, stated_, strict=True)):
+            return f"the next value of {item['estimate']}"
+    return ""
+
+
+@cache
+def accepted(name: str) -> dict[str, Any]:
+    """Result of the original file."""
+    return result(certificate(name))
+
+
+def judged(task: tuple[str, int]) -> tuple[str, str]:
+    """Outcome of a changed file, and what was changed."""
+    name, seed = task
+    data, path, before, after = corrupted(name, seed)
+    where, original = f"{name}, seed {seed}: {path}: {before!r} -> {after!r}", certificate(name)
+    found = result(data)
+    if found["status"] != "re-proved":
+        return found["status"], where
+    if path[0] in ("about", "assumed") or path[-1] in ("name", "signal", "assumes", "says") or "assumes" in path:
+        shown = {**found, "log2_error": 0, "points": 0} != {**accepted(name), "log2_error": 0, "points": 0}
+        item = original["conclusions"][path[1]] if path[0] == "conclusions" else {}
+        silent = (
+            path[0] == "about"
+            or "estimate" in item
+            or "assumes" in path
+            or (path[0] in ("terms", "conditions") and path[-1] == "name")
+        )
+        if path[-1] != "says":
+            return ("a text, which the result shows" if shown else "a text" if silent else "FALSE"), where
+    if same(data, original, Fraction(found["kappa_above"] or 0)):
+        return "an equal function", where
+    fault = holds(data, found)
+    if fault:
+        return "FALSE", f"{where}: {fault}"
+    other = in_node([data])[0]
+    if any(other.get(key) != found[key] for key in SAME):
+        return "FALSE", f"{where}: the other checker: {other}"
+    return "another true statement", where
+
+
+def main(count: int, names: Sequence[str] = NAMES) -> int:
+    """Judge this many changes, in all processors; print the counts, and what is false."""
+    tasks = [(names[k % len(names)], k // len(names)) for k in range(count)]
+    counts, kept = Counter[str](), dict[str, list[str]]()
+    with ProcessPoolExecutor(2) as pool:
+        for outcome, where in pool.map(judged, tasks, chunksize=50):
+            counts[outcome] += 1
+            kept.setdefault(outcome, []).append(where)
+    for outcome, number in counts.most_common():
+        sys.stdout.write(f"{number:6d}  {outcome}\n")
+    sys.stdout.writelines(f"{where}\n" for where in kept.get("FALSE", []))
+    return int(counts["FALSE"] > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000))
