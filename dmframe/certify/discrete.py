@@ -9,7 +9,7 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.block.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
+from dmframe.block.certificate import Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
 from dmframe.block.model import symbols_in
 from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from functools import partial, wraps
+from inspect import signature
 from typing import Any
 
 import casadi as ca
@@ -21,7 +22,8 @@ _MOST = 256
 
 def placed(chain: SerialChain, numbers: Iterable[Fraction]) -> tuple[Any, ...]:
     """Structure of the robot: task axes, kinds of the joints, and numbers that are 0 or +-1, which are not symbols."""
-    return (chain.axes, *(joint.kind for joint in chain.joints), *(int(x) if x in (0, 1, -1) else None for x in numbers))
+    numerals = (int(x) if x in (0, 1, -1) else None for x in numbers)
+    return (chain.axes, *(joint.kind for joint in chain.joints), *numerals)
 
 
 def traced(recursion: Callable[..., Any]) -> Callable[..., Any]:
@@ -30,10 +32,11 @@ def traced(recursion: Callable[..., Any]) -> Callable[..., Any]:
     The model has the `constants` that the method reads, and `placed`, the structure on which it depends in addition to
     the zeros and constants of its arguments; if that is empty, the method is not traced. A last argument may be None.
     """
+    bind = signature(recursion).bind
 
     @wraps(recursion)
-    def applied(robot: Any, *arguments: Any) -> Any:
-        given = [item for item in arguments if item is not None]
+    def applied(robot: Any, *arguments: Any, **named: Any) -> Any:
+        given = [item for item in bind(robot, *arguments, **named).args[1:] if item is not None]
         constants = [constant.symbol for constant in robot.constants]
         return _replayed(partial(recursion, robot), (recursion.__name__, robot.placed), given, constants)
 

@@ -271,7 +271,6 @@ class SymbolicRobot:
         symbols, expression = self._stated[name]
         return ca.substitute([expression], symbols, [ca.densify(x) for x in given])[0]
 
-    @traced
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
         r"""Mass matrix M(q), SX (n, n), by composite bodies; symmetric by construction.
 
