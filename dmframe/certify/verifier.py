@@ -175,13 +175,14 @@ def _verified(
     try:
         require_sound(exact)
         points = Points.of(exact, seed=seed)
-        first = points.at(0)
-        if not first.zero:
-            return refuted(first)
+        exact.shared.prepare()  # once, before copies of this process need it
         jobs: list[Callable[[], Any]] = [partial(compared, claim, *row, seed) for row in rows]
         jobs += [partial(inject_faults, exact, seed=seed), partial(empty, exact, seed)]
         jobs += [partial(points.at, k) for k in range(1, trials)]
         with shared(jobs, busy=True, small=alone) as finished:
+            first = points.at(0)
+            if not first.zero:
+                return refuted(first)
             done = cache(finished)
             if examiner is None:
                 found = _in_discrete_time(claim, exact, symbols, numbers, start, seed, lambda: done()[: len(rows)])

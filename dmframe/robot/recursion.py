@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from functools import partial, wraps
-from inspect import signature
 from typing import Any
 
 import casadi as ca
@@ -21,32 +19,26 @@ _MOST = 256
 
 
 def placed(chain: SerialChain, numbers: Iterable[Fraction]) -> tuple[Any, ...]:
-    """Structure of the robot: task axes, kinds of the joints, and numbers that are 0 or +-1, which are not symbols."""
-    numerals = (int(x) if x in (0, 1, -1) else None for x in numbers)
-    return (chain.axes, *(joint.kind for joint in chain.joints), *numerals)
+    """Structure of the robot: kinds of the joints, and numbers that are 0 or +-1, which are not symbols."""
+    return (*(joint.kind for joint in chain.joints), *(int(x) if x in (0, 1, -1) else None for x in numbers))
 
 
-def traced(recursion: Callable[..., Any]) -> Callable[..., Any]:
-    """A method of a robot model as a recursion that is traced, and applied to its arguments operation by operation.
-
-    The model has the `constants` that the method reads, and `placed`, the structure on which it depends in addition to
-    the zeros and constants of its arguments; if that is empty, the method is not traced. A last argument may be None.
-    """
-    bind = signature(recursion).bind
-
-    @wraps(recursion)
-    def applied(robot: Any, *arguments: Any, **named: Any) -> Any:
-        given = [item for item in bind(robot, *arguments, **named).args[1:] if item is not None]
-        constants = [constant.symbol for constant in robot.constants]
-        return _replayed(partial(recursion, robot), (recursion.__name__, robot.placed), given, constants)
-
-    return applied
-
-
-def _replayed(
-    recursion: Callable[..., Any], placed: tuple[str, tuple[Any, ...]], given: Sequence[Any], constants: Sequence[Any]
+def repeated(
+    recursion: Callable[..., Any], placed: tuple[Any, ...], given: Sequence[Any], constants: Sequence[Any]
 ) -> Any:
-    if not placed[1] or not all(isinstance(item, ca.SX) for item in given):
+    """Apply `recursion` to the arguments `given`, operation by operation.
+
+    Parameters
+    ----------
+    placed
+        Structure on which the recursion depends, in addition to the zeros and constants of its arguments; if empty, the
+        recursion is not traced.
+    given
+        Arguments; constants remain constants.
+    constants
+        Columns of further symbols that it reads.
+    """
+    if not placed or not all(isinstance(item, ca.SX) for item in given):
         return recursion(*given)
     fixed = [item.is_constant() for item in given]
     pairs = list(zip(given, fixed, strict=True))

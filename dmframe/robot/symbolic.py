@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from typing import Any, final
 
 import casadi as ca
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from dmframe.robot.bodies import Link, acceleration_field, bodies_of, carry, joint_torques, matrix, skew
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.rational import Vector, decimal
-from dmframe.robot.recursion import placed, traced
+from dmframe.robot.recursion import placed, repeated
 
 NO_LIMIT = 1e9
 """Substitute for a missing limit: finite, for compiled code."""
@@ -87,7 +88,7 @@ class SymbolicRobot:
         self.a_k = ca.vertcat(*(ca.SX(0) if value == 0 else symbol for symbol, value in pairs))
         self.inertia = self._inertia.symbol
         self._stated: dict[str, tuple[list[Any], Any]] = {}
-        self.placed = placed(chain, (*_turns(chain), *kinematic, *chain.gravity))
+        self._placed = placed(chain, (*_turns(chain), *kinematic, *chain.gravity))
 
     def with_numbers(self, chain: SerialChain) -> SymbolicRobot:
         """Same symbols with the values of another chain with the same joints.
@@ -111,7 +112,7 @@ class SymbolicRobot:
     def with_free_axes(self) -> tuple[SymbolicRobot, Any, Any]:
         """Copy with all axes and rotations as symbols; and columns of these symbols, for joints and tool."""
         other = copy.copy(self)
-        other._stated, other.placed = {}, ()
+        other._stated, other._placed = {}, ()
         other._placements = [(ca.SX.sym("rotation", 3, 3), ca.SX.sym("axis", 3)) for _ in self._placements]
         other._tool_rotation = ca.SX.sym("tool_rotation", 3, 3)
         axes = ca.vertcat(*(ca.vertcat(ca.vec(R), a) for R, a in other._placements))
@@ -123,7 +124,6 @@ class SymbolicRobot:
 
     # Kinematics
 
-    @traced
     def position(self, q: Any, a_k: Any = None) -> Any:
         """Task position x = f(q), eq. (1): the tool's coordinates `axes` in the base frame, SX (m)."""
         offsets = self._offsets(a_k)
@@ -132,7 +132,6 @@ class SymbolicRobot:
             point = link.offset + link.rotation @ point
         return self._task(point)
 
-    @traced
     def jacobian(self, q: Any, a_k: Any = None) -> Any:
         r"""Task Jacobian J(q), eq. (2), SX (m, n); columns :math:`z_i \times (x - o_i)`, prismatic :math:`z_i`."""
         rotation, origin = ca.SX.eye(3), ca.SX(3, 1)
@@ -207,16 +206,19 @@ class SymbolicRobot:
         ----------
         [SlotineLi1987]_; [NiemeyerSlotine1991]_ for the recursion.
         """
-        inertia = self.inertia if inertia is None else inertia
-        return self._torque(q, dq, ddq_ref, inertia, ca.SX(gravity_share), None if dq_ref is dq else dq_ref)
+        inertia, share, plain = self.inertia if inertia is None else inertia, ca.SX(gravity_share), dq_ref is dq
+        given = (q, dq, ddq_ref, inertia, share, *(() if plain else (dq_ref,)))
+        constants = [constant.symbol for constant in self.constants]
+        return repeated(partial(self._torque, plain), self._placed, given, constants)
 
-    @traced
-    def _torque(self, q: Any, dq: Any, ddq_ref: Any, inertia: Any, gravity_share: Any, dq_ref: Any = None) -> Any:
-        """Implementation of `inverse_dynamics`; without `dq_ref`, it is `dq`."""
+    def _torque(
+        self, plain: bool, q: Any, dq: Any, ddq_ref: Any, inertia: Any, gravity_share: Any, dq_ref: Any = None
+    ) -> Any:
+        """Implementation of `inverse_dynamics`; with `plain`, `dq_ref` is `dq`."""
         links = self.links(q)
         h = bodies_of(inertia)
         omega = nu = dnu = ca.SX(3, 1)
-        plain, dq_ref = dq_ref is None, dq if dq_ref is None else dq_ref
+        dq_ref = dq if plain else dq_ref
         acceleration = -self.gravity * gravity_share
         A = ca.SX(3, 3)
         forces = []

@@ -1,8 +1,7 @@
-"""Recursions repeated by CasADi, compared with the recursion in Python, operation by operation, and Pinocchio."""
+"""Inverse dynamics repeated by CasADi, compared with the recursion in Python, operation by operation, and Pinocchio."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -35,10 +34,6 @@ def arguments(n: int) -> dict[str, tuple[Any, ...]]:
     }
 
 
-def untraced(method: str) -> Any:
-    return getattr(SymbolicRobot, method).__wrapped__
-
-
 @pytest.mark.parametrize("name", ["arm2", "ur5", "panda"])
 @pytest.mark.parametrize("share", [1, 0, ca.SX.sym("share")])
 def test_the_expressions_are_those_of_the_recursion(name: str, share: Any) -> None:
@@ -47,8 +42,9 @@ def test_the_expressions_are_those_of_the_recursion(name: str, share: Any) -> No
         robot = SymbolicRobot(chain)
         for what, (q, dq, dq_ref, ddq_ref) in arguments(robot.n).items():
             found = robot.inverse_dynamics(q, dq, dq_ref, ddq_ref, gravity_share=share)
-            given = (q, dq, ddq_ref, robot.inertia, ca.SX(share), *(() if dq_ref is dq else (dq_ref,)))
-            assert same_expression(found, untraced("_torque")(robot, *given)), what
+            plain = dq_ref is dq
+            expected = robot._torque(plain, q, dq, ddq_ref, robot.inertia, ca.SX(share), dq_ref)
+            assert same_expression(found, expected), what
     assert len(recursion._TRACED) == len(arguments(2)) - 2  # expressions have the zeros of all; some constants, none
 
 
@@ -59,21 +55,7 @@ def test_other_zeros_and_constants_are_stated_again() -> None:
     for value in (1.0, 2.0):
         moved = robot.inverse_dynamics(q, dq, zero, ca.SX([value, 0]))
         assert not same_expression(moved, still)
-        assert same_expression(
-            moved, untraced("_torque")(robot, q, dq, ca.SX([value, 0]), robot.inertia, ca.SX(1), zero)
-        )
-
-
-@pytest.mark.parametrize("name", ["arm2", "ur5", "panda"])
-@pytest.mark.parametrize("method", ["position", "jacobian"])
-def test_kinematics_are_those_of_the_recursion(name: str, method: str) -> None:
-    chain = load(name)
-    for axes in (chain.axes, ("z", "x")):
-        robot = SymbolicRobot(replace(chain, axes=axes))
-        q = ca.SX.sym("q", robot.n)
-        for given in ((q,), (2 * q, ca.SX.sym("a_k", robot.k))):
-            found = getattr(robot, method)(*given)
-            assert same_expression(found, untraced(method)(robot, *given))
+        assert same_expression(moved, robot._torque(False, q, dq, ca.SX([value, 0]), robot.inertia, ca.SX(1), zero))
 
 
 @pytest.mark.parametrize(("one", "other"), [("ur5", "ur10"), ("ur10", "panda")])
@@ -98,14 +80,6 @@ def test_few_functions_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     for k in range(8):
         robot.inverse_dynamics(q, q, q, ca.SX([float(k), 1.0]))
     assert 1 <= len(recursion._TRACED) <= 3
-
-
-def test_arguments_may_have_their_names() -> None:
-    robot, q = SymbolicRobot(load("arm2")), ca.SX.sym("q", 2)
-    a_k = ca.SX.sym("a_k", robot.k)
-    assert same_expression(robot.position(a_k=a_k, q=q), robot.position(q, a_k))
-    with pytest.raises(TypeError):
-        robot.position(q, other=a_k)
 
 
 def test_robots_with_free_axes_are_not_repeated() -> None:
