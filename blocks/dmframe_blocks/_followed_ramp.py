@@ -4,32 +4,53 @@ A ramp with the acceleration a_max would turn the commands u into
 
     r = r + clip(u - r, -a_max T, a_max T)
 
-The lag u - v of the joints' average velocity v is u - r + s behind it, and s without it, with the servo's own lag s.
-The evidence is the integral of |v - r|^2 - |v - u|^2 over time: with a ramp it falls by |r - u|^2, and rises by that
-without one, if s is small. If the path needs more than a_max by A, |r - u| = A t grows with time, and s lowers the
-evidence by at most 4 s^3/(3 A), until A t = 2 s. A ramp is therefore taken as shown by evidence below -doubt.
+A servo lags behind its command, as a ramp does, and the lag is not known. So the average velocity v of each joint is
+compared with those of filters 1/(1 + tau s), for tau = 0 and each of `RATIOS` times the parameter `lag_time`, once
+with the input u and once with r. The sums
+
+    S_u(tau) = integral of |v - F_tau u|^2 over time,    S_r(tau) = integral of |v - F_tau r|^2
+
+grow alike as long as r = u. Where they differ, one of them is the larger one, and the evidence
+
+    sum over the joints of min_tau S_r(tau) - min_tau S_u(tau)
+
+compares a ramp and a lag with a lag alone. If v = F_tau u + w with one of these tau, then min S_u is at most the
+integral of |w|^2, and so the evidence is at least minus that. Below -doubt a ramp is taken as shown.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import casadi as ca
 
-from dmframe.block import SX, Signals, State, clip, named
+from dmframe.block import SX, Signals, State, clip, named, operation
 from dmframe_blocks._identified_delay import Delayed, acting
 
 DOUBT: Final = 1e-3
-"""Default of `doubt` [rad^2/s]: more than the lag of 0.09 rad/s of a servo causes with A = 1 rad/s^2."""
+"""Default of `doubt` [rad^2/s]: an error of 0.03 rad/s over a second, for example by friction or an encoder."""
+
+LAG: Final = 0.0125
+"""Default of `lag_time` [s]."""
+RATIOS: Final = (1, 2, 4, 8, 16)
+"""Time constants of the filters, relative to `lag_time`; that of a cascade without feed-forward is 1/k_p."""
 
 STATES: Final = (
     State("path_before", "n", "rad/s", sampled=True, optional=True),
     State("ramped", "n", "rad/s", sampled=True, optional=True),
     State("gaps", "n d", "rad/s", sampled=True, optional=True, recorded=False),
+    State("lagged", "n B", "rad/s", sampled=True, optional=True, recorded=False),
+    State("lagged_ramp", "n B", "rad/s", sampled=True, optional=True, recorded=False),
+    State("missed_u", "n S", "rad^2/s", sampled=True, optional=True, recorded=False),
+    State("missed_r", "n S", "rad^2/s", sampled=True, optional=True, recorded=False),
     State("evidence", "", "rad^2/s", sampled=True, optional=True),
 )
-"""Velocity along the path, the output r of the ramp, its differences r - u in the queue of commands, the evidence."""
+"""Velocity along the path, the output r of the ramp, its differences r - u in the queue of commands, the states of the
+filters with u and with r, S_u and S_r, and the evidence."""
+
+SIZES: Final = {"B": len(RATIOS), "S": len(RATIOS) + 1}
+"""B: filters with a state; S: sums, the first one of tau = 0."""
 
 
 class Limited(NamedTuple):
@@ -40,8 +61,8 @@ class Limited(NamedTuple):
     begun: Mapping[str, SX]
 
 
-def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, lag: SX) -> Limited:
-    """The change towards the wished command; `lag` is u - v of the last completed sample.
+def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acted: SX) -> Limited:
+    """The change towards the wished command; `acted` is the command that acted in the last completed sample.
 
     Unless the evidence is below -doubt, or the delay is unknown, a path that needs more than a half of a_max gets that,
     and as much again for corrections.
@@ -50,7 +71,7 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, lag:
         return Limited(wished - x.queue[:, -1], {}, {})
     room, known = p.a_max * u.T, 1 if block.delay_up_to is None else u.identified
     gap = acting(block, u, x.gaps)[:, 0]
-    evidence = named("evidence_new", x.evidence + u.T * ca.dot(gap, gap + 2 * lag))
+    filters, sums, evidence = _compared(u, x, p, acted, acted + gap, known)
     follows = named("follows", known * (x.count > 1) * (evidence + p.doubt >= 0))
     needed = named("needed", follows * (u.dq_path - x.path_before))
     more = ca.fmax(room / 2, ca.fabs(needed))
@@ -58,5 +79,47 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, lag:
     change = named("change", ca.fmin(ca.fmax(wished - x.queue[:, -1], low), high))
     sent = x.queue[:, -1] + change
     ramped = named("ramped_new", x.ramped + clip(sent - x.ramped, room))
-    kept = {"path_before": u.dq_path, "ramped": ramped}
-    return Limited(change, kept, {"gaps": ca.horzcat(x.gaps[:, 1:], ramped - sent), "evidence": evidence})
+    kept = {"path_before": u.dq_path, "ramped": ramped, **filters}
+    return Limited(change, kept, {"gaps": ca.horzcat(x.gaps[:, 1:], ramped - sent), "evidence": evidence, **sums})
+
+
+def _compared(
+    u: Signals, x: Signals, p: Signals, acted: SX, ramped: SX, known: SX | int
+) -> tuple[Mapping[str, SX], Mapping[str, SX], SX]:
+    """The states of the filters, the sums, and the evidence after a sample; filters begin at the joints' velocity."""
+    v, filters, sums = named("v_sample", (u.q - x.q_before) / u.T), dict[str, SX](), dict[str, SX]()
+    ratio = u.T / p.lag_time
+    for state, total, sent in (("lagged", "missed_u", acted), ("lagged_ramp", "missed_r", ramped)):
+        held = getattr(x, state)
+        filters[state] = known * filtered(held, sent, ratio) + (1 - known) * ca.repmat(v, 1, len(RATIOS))
+        sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, ratio), v))
+    evidence = named("evidence_new", ca.sum1(least(sums["missed_r"]) - least(sums["missed_u"])))
+    return filters, sums, evidence
+
+
+@operation
+def filtered(held: Any, sent: Any, ratio: Any) -> Any:
+    """The states of the filters of each joint after a sample of that command; ratio is T/lag_time."""
+    return ca.horzcat(*(sent + (held[:, k] - sent) * ca.exp(-ratio / each) for k, each in enumerate(RATIOS)))
+
+
+@operation
+def averages(held: Any, sent: Any, ratio: Any) -> Any:
+    """The average outputs of the filters over a sample; the first column is the command itself."""
+    share = [(1 - ca.exp(-ratio / each)) * each / ratio for each in RATIOS]
+    return ca.horzcat(sent, *(sent + (held[:, k] - sent) * each for k, each in enumerate(share)))
+
+
+@operation
+def squared(found: Any, v: Any) -> Any:
+    """The square of each element's difference from the joint's velocity v."""
+    return (found - ca.repmat(v, 1, found.shape[1])) ** 2
+
+
+@operation
+def least(sums: Any) -> Any:
+    """The least element of each row."""
+    found = sums[:, 0]
+    for k in range(1, sums.shape[1]):
+        found = ca.fmin(found, sums[:, k])
+    return found

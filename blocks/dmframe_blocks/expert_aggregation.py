@@ -94,8 +94,12 @@ class ExpertAggregation(AbstractBlock):
 
     with the change D of dq_path, the velocity along the path without feedback; D counts as zero in the first two
     samples, and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The
-    motion shows this: the evidence is the integral of |v - r|^2 - |v - u|^2, with the output r of a ramp of slope
-    a_max behind the command u. Once it is below -doubt, D counts as zero.
+    motion shows this: with the output r of a ramp of slope a_max behind the command u, and filters
+    :math:`F_\tau = 1 / (1 + \tau s)` for the unknown lag of the servo, the evidence is, summed over the joints,
+
+        min_tau (integral of |v - F_tau r|^2) - min_tau (integral of |v - F_tau u|^2)
+
+    for tau = 0 and 1, 2, 4, 8 and 16 times `lag_time`. Once it is below -doubt, D counts as zero.
 
     Parameters
     ----------
@@ -127,6 +131,8 @@ class ExpertAggregation(AbstractBlock):
         Largest change of a command per second, where the path does not need more; by default it is not limited.
     doubt : scalar, rad^2/s, > 0
         Evidence for a ramp above which the command stays within `a_max`.
+    lag_time : scalar, s, > 0
+        Shortest time constant of the filters for the lag of the servo, with `a_max`; the longest one is 16 times it.
 
     Notes
     -----
@@ -184,6 +190,7 @@ class ExpertAggregation(AbstractBlock):
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     a_max: Diagonal | None = Positive("n", "rad/s^2", default=None)
     doubt: Scalar = Positive("", "rad^2/s", default=_followed_ramp.DOUBT)
+    lag_time: Scalar = Positive("", "s", default=_followed_ramp.LAG)
 
     @model_validator(mode="after")
     def _has_a_rate(self) -> Self:
@@ -206,7 +213,7 @@ class ExpertAggregation(AbstractBlock):
         observers = self._observers
         E = 2 * (1 + len(observers))
         own = {"E": E, "H": 2 * size_of(observers), "F": E * (longest(self) + 1), "d": longest(self) + 1}
-        return {**super().sizes(robot), **own, "w": robot.n * (E - 1), "C": 3 * E}
+        return {**super().sizes(robot), **own, **_followed_ramp.SIZES, "w": robot.n * (E - 1), "C": 3 * E}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, with the silent expert alone."""
@@ -235,7 +242,7 @@ class ExpertAggregation(AbstractBlock):
         w = named("w_all", with_first(trusted, lag))
         q_start = named("q_mean", along(w, experts.q_start))
         wished = clip(named("dq_mean", along(w, experts.command)), p.u_max)
-        limited = _followed_ramp.limited(self, u, x, p, wished, lag)
+        limited = _followed_ramp.limited(self, u, x, p, wished, queue[:, 0])
         dq_sent = named("dq_now", x.queue[:, -1] + limited.change if "a_max" in p else wished)
         by_command = elementwise(experts.slope, halves(dq_sent, dq_sent, experts.command) - experts.command)
         ends = experts.q_start + u.T * (halves(u.dq_r, u.dq_r, experts.command) + by_command)

@@ -33,12 +33,12 @@ CONSTANT = {"parameter", "weight", "constant", "stepping"}
 GIVEN = {"trajectory", "period", "noise", "command"}
 KINDS = CONSTANT | GIVEN | {"time", "state", "projection"}
 ARITHMETIC = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
-BOUNDED = set("sin cos tanh atan atan2 sign lt le eq ne not and or erf".split())
-UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor ceil not tan asin acos sinh cosh asinh acosh erf".split())
-BINARY = set("fmin fmax lt le eq ne and or if_else_zero atan2 hypot copysign fmod remainder pow".split())
+BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
+UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
+BINARY = set("fmin fmax lt le eq and if_else_zero atan2".split())
 ASSUMED = (
-    "signals have the names of the file; its rates and next values are those of the loop that runs",
-    "divisors, and arguments of roots and logarithms, stay away from 0",
+    "names, rates and next values are those of the loop that runs",
+    "divisors and arguments of roots and logarithms stay away from 0",
 )
 
 
@@ -334,6 +334,7 @@ class Certificate:
         self.lists = dict.fromkeys((*FLOW, *SAMPLE), ()) | lists
         self.symbols, self.kinds, self.fixed, self.numbers, self.derivatives = {}, {}, {}, {}, {}
         self.assumed = list(map(str, data["assumed"]))
+        need(sum(abs(item["size"]) for item in lists["symbols"]) < LARGEST, "symbols: too many elements")
         for item in lists["symbols"]:
             self.read_symbol(**item)
         program = self.read_program(**keys(data["program"], "operations code a b constants", "program"))

@@ -133,23 +133,50 @@ def test_a_command_changes_by_at_most_a_max() -> None:
     assert abs(sent[0]) <= 0.5 * T + 1e-12
 
 
-@pytest.mark.parametrize("ramp", [False, True])
-def test_a_path_that_needs_more_than_a_max_gets_it_unless_a_ramp_limits_the_robot(ramp: bool) -> None:
-    most, speed = 0.5, 0.3 * np.sin(4 * T * np.arange(200))  # up to 1.2 rad/s^2
-    block, q, v, states, sent = KIND(a_max=[most]), 0.0, 0.0, start(), list[float]()
-    for wanted in speed:
-        u = {"dq_model": [wanted], "q_model": [q], "slope": [1.0], "epsilon": [0.0], "T": T}
-        item = block.evaluate({**u, "q": [q], "dq_r": [wanted], "dq_path": [wanted]}, states, robot="pendulum")
+def moved(most: float, wanted: np.ndarray, dt: float, *, lag: float, ramp: bool) -> tuple[np.ndarray, dict[str, Any]]:
+    """The commands and the states along that velocity of the path; the servo has that lag, after a ramp or not.
+
+    The robot moves by 20 steps of Euler's method in a sample, not by the filters of the block.
+    """
+    block, q, r, v, states, sent = KIND(a_max=[most]), 0.0, 0.0, 0.0, start(), list[float]()
+    for speed in wanted:
+        u = {"dq_model": [speed], "q_model": [q], "slope": [1.0], "epsilon": [0.0], "T": dt}
+        item = block.evaluate({**u, "q": [q], "dq_r": [speed], "dq_path": [speed]}, states, robot="pendulum")
         states = dict(item.next)
         sent.append(float(item.outputs["dq_sent"][0]))
-        v += np.clip(sent[-1] - v, -most * T, most * T) if ramp else sent[-1] - v
-        q += T * v
+        r += np.clip(sent[-1] - r, -most * dt, most * dt) if ramp else sent[-1] - r
+        for _ in range(20):
+            v += (r - v) * dt / 20 / lag if lag else r - v
+            q += v * dt / 20
+    return np.array(sent), states
+
+
+@pytest.mark.parametrize(("ramp", "lag"), [(False, 0.0), (False, 0.141), (True, 0.0), (True, 0.052)])
+def test_a_path_that_needs_more_than_a_max_gets_it_unless_a_ramp_limits_the_robot(ramp: bool, lag: float) -> None:
+    most, speed = 0.5, 0.3 * np.sin(4 * T * np.arange(200))  # up to 1.2 rad/s^2
+    sent, states = moved(most, speed, T, lag=lag, ramp=ramp)
     if ramp:
         assert states["evidence"] < -1e-3
-        assert np.abs(np.diff(sent[20:])).max() == pytest.approx(most * T)
+        assert np.abs(np.diff(sent[100:])).max() == pytest.approx(most * T)
     else:
         assert states["evidence"] > 0
+        assert np.abs(np.diff(sent[100:])).max() > 1.5 * most * T
+    if not ramp and not lag:
         np.testing.assert_allclose(sent[5:], speed[5:], atol=1e-12)
+
+
+def test_a_servo_that_lags_behind_many_short_accelerations_is_not_taken_for_a_ramp() -> None:
+    """Each is shorter than three times the lag, so that it looks more like a ramp than like a servo without a lag."""
+    most, dt, lag = 0.5, 0.008, 0.06
+    t = dt * np.arange(300)
+    speed = 0.06 * np.sin(12 * t)  # up to 0.72 rad/s^2
+    sent, states = moved(most, speed, dt, lag=lag, ramp=False)
+    r, plain, v = 0.0, 0.0, 0.0
+    for u in sent:  # |v - r|^2 - |v - u|^2, with the velocity of a servo of first order
+        r, v = r + np.clip(u - r, -most * dt, most * dt), v + (u - v) * (1 - np.exp(-dt / lag))
+        plain += dt * ((v - r) ** 2 - (v - u) ** 2)
+    assert plain < -1e-5
+    assert states["evidence"] > -1e-7
 
 
 def test_a_model_whose_inverse_is_unstable_keeps_its_weight_by_its_forecasts_alone() -> None:

@@ -20,7 +20,7 @@ from dmframe.simulate import simulate
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdrWANGEHFwC")
+LETTERS = set("nmpkhcdrWANGEHFwCBS")
 
 # blocks that no packaged graph uses are run in one of these
 EXAMPLES = {

@@ -21,8 +21,12 @@ from dmframe.block.parameter import Interval as Ends
 from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.closure import Closure
+from dmframe.certify.positive import Signs
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.projections import projection_conditions
+from dmframe.certify.statements import bases_of
+from dmframe.certify.symbols import symbols_of
 from dmframe.common.errors import StartError
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Ball, Box
@@ -343,3 +347,20 @@ def test_every_packaged_projection_is_checked_against_the_lemma() -> None:
             assert found.holds, (name, found)
             count += 1
     assert count > 20
+
+
+@pytest.mark.parametrize("circular", [False, True])
+def test_corrections_that_depend_on_one_another_have_no_bound(circular: bool) -> None:
+    """|c_a| <= |f + 2 c_b| and |c_b| <= |2 c_a| bound nothing; c_a alone is bounded by f, and c_b by c_a."""
+    claim = claim_of(Graph.read("arm2_joint").diagram)
+    numbers = Numbers(claim, {})
+    a, b, *_ = claim.loop.projections
+    symbols = symbols_of(claim)
+    closure = Closure(claim, numbers, bases_of(claim, symbols, Signs(claim, numbers)), seed=0)
+    first, second = ca.sum1(a.correction), ca.sum1(b.correction)
+    nominal = {
+        a.name: ca.SX.zeros(a.state.shape) + 2 * second * circular,
+        b.name: ca.SX.zeros(b.state.shape) + 2 * first,
+    }
+    closure.__dict__["_nominal"] = {**closure._nominal, **nominal}
+    assert closure.bounds([first, second]) == [not circular] * 2

@@ -13,7 +13,7 @@ from in_chromium import chromium
 
 import dmframe as dm
 from dmframe.page.page import assembled
-from dmframe.page.proof import Proof, checker_script, packed, proof_of
+from dmframe.page.proof import Proof, checker_script, packed, proof_of, shortened
 from tests.framework.checker.certificates import SAME, certificate, node_path, replaced
 from tests.framework.in_node import content
 
@@ -66,6 +66,23 @@ def test_a_page_without_a_proof_contains_no_certificate() -> None:
     assert held["terms"] == certificate(NAME)["terms"]
     assert proof_of(graph, dm.load("pendulum_kinematic").verify().verdict) == Proof()
     assert 'id="certificate"></script>' in assembled(content(NAME))
+
+
+def test_the_program_of_a_page_has_less_than_12_kb() -> None:
+    assert len(zlib.compress(checker_script().encode(), 9)) < 12_000
+
+
+def test_a_script_is_shortened_without_a_change_of_its_texts() -> None:
+    script = """
+// a comment
+const total = (first, second) => first - -second; // another one
+const text = (item) => `first: ${total(item.count, 2)} // ${/^(a b)$/.test("x  y")}` + "first // count" + item.length;
+"""
+    found = shortened(script, frozenset({"text"}))
+    assert found == (
+        'const d=(first,e)=>first- -e;const text=(c)=>`first: ${d(c.count, 2)} // ${/^(a b)$/.test("x  y")}`'
+        '+"first // count"+c.length;'
+    )
 
 
 def test_the_page_of_ur10_fast_with_its_proof_stays_below_200_kb() -> None:
