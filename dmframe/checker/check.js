@@ -23,7 +23,7 @@ globalThis.checker = (() => {
   const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
   const ASSUMED = [
     "names, rates and next values are those of the loop that runs",
-    "divisors and arguments of roots and logarithms stay away from 0",
+    "divisors stay away from 0, and arguments of roots and logarithms are positive",
   ];
 
   // ---- Rational numbers [numerator, denominator > 0], and intervals [lower, upper] of them
@@ -47,7 +47,7 @@ globalThis.checker = (() => {
     const ends = a.flatMap((x) => b.map((y) => product(x, y)));
     return [same ? most([zeroQ, least(ends)]) : least(ends), most(ends)];
   };
-  const minusI = (a, b) => plusI(a, timesI([minusOne, minusOne], b));
+  const negI = (a) => timesI([minusOne, minusOne], a), minusI = (a, b) => plusI(a, negI(b));
   const inverseI = (a) => (positive(a[0]) || a[1][0] < 0n ? [fraction(a[1][1], a[1][0]), fraction(a[0][1], a[0][0])] : null);
 
   // All symmetric matrices in these intervals are positive definite if all pivots are.
@@ -211,7 +211,7 @@ globalThis.checker = (() => {
 
   class Certificate {
     constructor(data) {
-      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "no certificate of version 2");
+      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "version: expected 2");
       this.samples = data.over === "sample";
       const lists = { ...LISTS, ...(this.samples ? SAMPLE : FLOW) };
       keys(data, "the file", TOP + Object.keys(lists).join(" "));
@@ -221,6 +221,7 @@ globalThis.checker = (() => {
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
       need(this.places.size === this.symbols.length, "a symbol twice");
       this.known = new Map(); // intervals of input nodes
+      this.divided = [];
       this.fixed = this.symbols.filter((item) => item.values).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
       const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
@@ -259,6 +260,7 @@ globalThis.checker = (() => {
           const [x, y] = [a, b].map((column) => at(nodes, column[i]));
           need(["add", "sub", "mul", "div"].includes(name) || CALLS.includes(name), `unknown operation ${name}`);
           nodes.push(CALLS.includes(name) ? g.call(name, x, y) : g[name](x, y));
+          if (name === "div") this.divided.push(g.inv(y)); // a divisor must not vanish, even in a part times 0
         }
       });
       return nodes;
@@ -497,7 +499,6 @@ globalThis.checker = (() => {
   function randomPrime(size) {
     for (;;) {
       const n = bits(size) | (1n << BigInt(size - 1)) | 1n;
-      if ([3n, 5n, 7n, 11n].some((x) => n % x === 0n)) continue;
       let odd = n - 1n, twos = 0, k = 0;
       for (; !(odd & 1n); odd >>= 1n) twos++;
       const passes = () => {
@@ -581,13 +582,12 @@ globalThis.checker = (() => {
 
   // log2 of the error bound and the number of points; refutes at a point where an equality does not hold.
   function identity(of) {
-    const found = equalities(of), all = [...found, [0, of.vectors.flat()]].flatMap(([, nodes]) => nodes);
+    const found = equalities(of), all = [...found, [0, of.vectors.flat()], [0, of.divided]].flatMap(([, nodes]) => nodes);
     const total = Math.log2(degrees(of.graph, all)), size = SIZES.find((size) => total + 3 - size < -64);
     need(size, "too large");
     const error = 3 + total - size;
     let points = 0;
-    for (let tried = 0; points * error > WANTED; tried++) {
-      need(tried < 40, "a divisor vanishes");
+    for (let tried = 0; points * error > WANTED; need(tried++ < 40, "a divisor vanishes")) {
       const point = new Point(of, randomPrime(size), size, new Map());
       try {
         for (const label of of.fixed) for (const k of of.inputs(label)) point.given.set(k, point.residue(of.known.get(k)[0]));
@@ -625,7 +625,7 @@ globalThis.checker = (() => {
         else if (op === SUB) own = minusI(x, y);
         else if (op === MUL) own = timesI(x, y, a === b);
         else if (op === INV) own = inverseI(x);
-        else if (name === "fabs") own = [most([zeroQ, x[0], product(minusOne, x[1])]), most([x[1], product(minusOne, x[0])])];
+        else if (name === "fabs") own = [most([zeroQ, x[0], negI(x)[0]]), most([x[1], negI(x)[1]])];
         if (!own) return null;
         found.set(k, own);
       }
@@ -633,13 +633,9 @@ globalThis.checker = (() => {
     }
     // 1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided.
     sign(nodes, size = 0) {
-      const values = this.bounds(nodes);
-      if (!values) return -1;
-      if (size > 1 && values.length === size * size) {
-        const rows = matrix(values, size);
-        return String(rows) === String(transposed(rows)) && definite(rows) ? 1 : -1;
-      }
-      return Math.min(1, ...values.map((x) => (positive(x[0]) ? 1 : x[0][0] === 0n ? 0 : -1)));
+      const values = this.bounds(nodes), rows = values && size > 1 && values.length === size * size && matrix(values, size);
+      if (!values || rows) return rows && String(rows) === String(transposed(rows)) && definite(rows) ? 1 : -1;
+      return Math.min(1, ...values.map(([[n]]) => (n > 0n) - (n < 0n)));
     }
     inside(name, lower, true_, upper) {
       const estimate = this.of.inputs(name), [low, high] = [lower, upper].map((k) => this.bounds(spread(this.of.vector(k), estimate.length)));
@@ -648,7 +644,9 @@ globalThis.checker = (() => {
       if (!value) this.assumed.push(`${name}: its true value is inside the box`);
       estimate.forEach((node, k) => {
         if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value`);
-        this.boxes.set(node, [low[k][0], high[k][1]]);
+        const box = [low[k][0], high[k][1]];
+        need(String(this.boxes.get(node) ?? box) === String(box), `${name}: its box`);
+        this.boxes.set(node, box);
       });
     }
     weight(term) {
@@ -666,7 +664,7 @@ globalThis.checker = (() => {
     mass(item) {
       const { of } = this, inertia = of.vector(item.inertia);
       if (item.rotors != null && this.sign(of.vector(item.rotors)) < 0) return -1;
-      if (!this.bounds(inertia)) this.assumed.push("the load of the mass matrix is a rigid body");
+      if (!this.bounds(inertia)) this.assumed.push("the load is a rigid body");
       else for (let k = 0; k < inertia.length; k += 10) if (this.sign(pseudo(of.graph, inertia.slice(k, k + 10)).flat(), 4) < 1) return -1;
       return 1;
     }
@@ -680,7 +678,7 @@ globalThis.checker = (() => {
       }
       for (const item of of.projections) {
         const term = of.term(item.term, "stored"), name = item.state;
-        this.assumed.push(`${name}: it starts inside its box, and the law that runs is this projection`);
+        this.assumed.push(`${name}: it starts in its box, and its law is this projection`);
         need([1, term.vector.length].includes(term.weight.length), `${name}: its metric`);
         this.inside(name, item.lower, item.true, item.upper);
       }
@@ -761,7 +759,7 @@ globalThis.checker = (() => {
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
       this.inverse = (x) => first.inverse(x);
       this.squares = [...strict].filter((term) => term.role === "dissipated" && term.rule === "square").map((term) => term.vector);
-      this.wanted = of.conclusions.filter((item) => item.vector != null);
+      this.wanted = of.conclusions.filter((item) => item.vector != null && of.vector(item.vector).length);
       this.close();
       this.sources = this.premises();
       this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => of.vector(x.vector)), ...this.sources.map((x) => x[1])].flat().length;
@@ -898,8 +896,10 @@ globalThis.checker = (() => {
       shown = once.filter((item) => again.includes(item));
       left = left.filter((item) => !shown.includes(item));
     }
-    const given = of.samples ? [] : of.symbols.filter((item) => GIVEN.includes(item.kind)).map((item) => item.label);
-    const weights = [...new Set(of.terms.map((item) => item.level))].filter((x) => x).sort();
+    const labels = (...kinds) => of.symbols.filter((item) => kinds.includes(item.kind)).map((item) => item.label).join(", ");
+    const given = of.samples ? "" : labels(...GIVEN), still = labels("constant", "stepping");
+    const weights = [...new Set(of.terms.map((item) => item.level))].filter((x) => x).sort().join(", ");
+    const stated = [given && `bounded: ${given}`, still && `constant: ${still}`, weights && `above kappa_above, and positive: ${weights}`];
     return {
       status: "re-proved",
       statement: of.samples ? "V(next) - V" : "dV/dt",
@@ -910,7 +910,7 @@ globalThis.checker = (() => {
       "only_at_exact_values_of": of.fixed.sort(),
       conclusions: of.samples ? of.steps.flatMap(fromSteps) : named(shown),
       not_checked: named(left),
-      assumed: [...ASSUMED, ...(given.length ? [`bounded: ${given.join(", ")}`] : []), ...(weights.length ? [`above kappa_above, and positive: ${weights.join(", ")}`] : []), ...new Set(signs.assumed), ...of.assumed],
+      assumed: [...ASSUMED, ...stated.filter((x) => x), ...new Set(signs.assumed), ...of.assumed],
     };
   }
 
