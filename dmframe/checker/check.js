@@ -6,14 +6,11 @@
 //
 // Exit status: 0 re-proved, 1 refuted, 2 refused (no valid certificate, or a rule that this program does not know).
 globalThis.checker = (() => {
-  "use strict";
-
   class Refused extends Error {}
   class Refuted extends Error {}
   class Undecided extends Refused {}
-  const fail = (text) => { throw new Refused(text); };
+  const fail = (text, Fault = Refused) => { throw new Fault(text); }, refute = (text) => fail(text, Refuted);
   const need = (condition, text) => condition || fail(text);
-  const refute = (text) => { throw new Refuted(text); };
 
   const WANTED = -300, SIZES = [149, 269, 521], LARGEST = 1 << 22, BIG = 1n << 20000n;
   const CONSTANT = ["parameter", "weight", "constant", "stepping"], GIVEN = ["trajectory", "period", "noise", "command"];
@@ -32,7 +29,7 @@ globalThis.checker = (() => {
     if (d < 0n) [n, d] = [-n, -d];
     let [a, b] = [n < 0n ? -n : n, d];
     while (b) [a, b] = [b, a % b];
-    if (d / a > BIG || n / a > BIG || n / a < -BIG) throw new Undecided("too large");
+    if (d / a > BIG || n / a > BIG || n / a < -BIG) fail("too large", Undecided);
     return [n / a, d / a];
   }
   const sum = (x, y) => fraction(x[0] * y[1] + y[0] * x[1], x[1] * y[1]);
@@ -163,11 +160,11 @@ globalThis.checker = (() => {
       return name === "exp" ? k : divisor ? this.inv(divisor) : NONE;
     }
     dot(x, y) {
-      need(x.length === y.length, "sizes");
+      need(x.length === y.length, "size");
       return x.reduce((total, a, k) => this.add(total, this.mul(a, y[k])), ZERO);
     }
     minus(x, y) {
-      need(x.length === y.length, "sizes");
+      need(x.length === y.length, "size");
       return x.map((a, k) => this.sub(a, y[k]));
     }
     total(x) { return x.reduce((a, b) => this.add(a, b), ZERO); }
@@ -175,7 +172,7 @@ globalThis.checker = (() => {
   }
 
   const spread = (item, size) => {
-    need(item.length === 1 || item.length === size, "sizes");
+    need(item.length === 1 || item.length === size, "size");
     return item.length === size ? item : Array(size).fill(item[0]);
   };
   const matrix = (flat, rows) => Array.from({ length: rows }, (_, i) => flat.filter((_, k) => k % rows === i));
@@ -203,7 +200,7 @@ globalThis.checker = (() => {
     return item;
   }
   const whole = (x, from = 0, to = LARGEST) => {
-    need(Number.isSafeInteger(x) && from <= x && x < to, `no number below ${to}: ${x}`);
+    need(Number.isSafeInteger(x) && from <= x && x < to, `no number: ${x}`);
     return x;
   };
   const at = (items, k) => items[whole(k, 0, items.length)];
@@ -219,7 +216,7 @@ globalThis.checker = (() => {
       for (const name of Object.keys(lists)) this[name] = list(data[name]).map((item) => keys(item, name, ...lists[name]));
       this.graph = new Graph();
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
-      need(this.places.size === this.symbols.length, "a symbol twice");
+      need(this.places.size === this.symbols.length, "symbols");
       this.known = new Map(); // intervals of input nodes
       this.divided = [];
       this.fixed = this.symbols.filter((item) => item.values).map((item) => item.label);
@@ -242,16 +239,16 @@ globalThis.checker = (() => {
     readSymbol(item) {
       const { label, kind, size, values, numbers } = item, found = values?.map((x) => [x, x]) ?? numbers;
       need(typeof label === "string" && KINDS.includes(kind) && (whole(size) === 1 || !["time", "weight", "period"].includes(kind)) &&
-        (!found || (kind === "parameter" && list(found).length === size)), `${label}: its kind, size or numbers`);
+        (!found || (kind === "parameter" && list(found).length === size)), `${label}: its numbers`);
       found?.forEach((pair, k) => {
         const ends = pair.map(rational);
-        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its kind, size or numbers`);
+        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its numbers`);
         this.known.set(this.graph.input(this.places.get(label), k), ends);
       });
     }
     readProgram({ operations, constants, code, a, b }) {
       const g = this.graph, numbers = list(constants).map(rational), nodes = [];
-      need([a, b].every((x) => list(x).length === code.length), "sizes");
+      need([a, b].every((x) => list(x).length === code.length), "size");
       list(code).forEach((k, i) => {
         const name = at(operations, k);
         if (name === "const") nodes.push(g.number(at(numbers, a[i])));
@@ -372,7 +369,7 @@ globalThis.checker = (() => {
     const rotors = item.rotors == null ? Array(n).fill(ZERO) : spread(of.vector(item.rotors), n);
     const zero = Array(n).fill(ZERO), still = [zero, zero, zero, zero];
     const [dq, ddq, gravity, torque] = motion ? ["velocity", "acceleration", "gravity", "torque"].map((name) => of.vector(motion[name])) : still;
-    need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "sizes");
+    need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
     const rows = (column) => [0, 1, 2].map((i) => [0, 1, 2, 3].map((j) => (column ? (j === 3 ? g.neg(column[i]) : ZERO) : i === j ? ONE : ZERO)));
@@ -525,10 +522,10 @@ globalThis.checker = (() => {
     inverse(x) {
       let [a, b, s, t] = [x, this.p, 1n, 0n];
       while (b) { const q = a / b; [a, b, s, t] = [b, a - q * b, t, s - q * t]; }
-      if (a !== 1n) throw new Undecided("a divisor vanishes");
-      return s < 0n ? s + this.p : s;
+      if (a !== 1n) fail("a divisor vanishes", Undecided);
+      return (s + this.p) % this.p;
     }
-    residue([n, d]) { const x = n % this.p; return ((x < 0n ? x + this.p : x) * (d === 1n ? 1n : this.inverse(d % this.p))) % this.p; }
+    residue([n, d]) { return ((n % this.p + this.p) * (d === 1n ? d : this.inverse(d % this.p))) % this.p; }
     at(nodes) {
       const v = this.values;
       if (nodes.some((k) => v[k] === undefined)) for (const k of this.g.slice(nodes)) v[k] ??= this.value(k);
@@ -538,8 +535,8 @@ globalThis.checker = (() => {
       const { g, p, values } = this, op = g.op[k], x = values[g.a[k]], y = values[g.b[k]];
       switch (op) {
         case MUL: return (x * y) % p;
-        case ADD: { const s = x + y; return s < p ? s : s - p; }
-        case SUB: { const s = x - y; return s < 0n ? s + p : s; }
+        case ADD: return (x + y) % p;
+        case SUB: return (x - y + p) % p;
         case INV: return this.inverse(x);
         case NUMBER:
           if (!this.given.has(k)) this.given.set(k, this.residue(g.numbers[g.a[k]]));
@@ -683,7 +680,7 @@ globalThis.checker = (() => {
         this.inside(name, item.lower, item.true, item.upper);
       }
       for (const { parts, box, estimate } of of.steps) {
-        if (this.sign(of.vector(parts.gain)) !== 1 || this.sign(of.vector(parts.floor)) !== 1) refute(`${estimate}: its gain or floor`);
+        if (this.sign(of.vector(parts.gain)) !== 1 || this.sign(of.vector(parts.floor)) !== 1) refute(`${estimate}: its gain`);
         if (box) this.inside(estimate, parts.lower, parts.true, parts.upper);
       }
       for (const item of of.conditions) {
@@ -700,21 +697,21 @@ globalThis.checker = (() => {
       for (const { term, by } of of.cross) {
         const c = of.term(term, "cross"), squares = by.map(([, k]) => of.term(k, "dissipated")), used = new Set(squares), n = c.vector.length, level = squares[0]?.level;
         need(level !== undefined && used.size === by.length && squares.every((item) => item.level === level) && !c.level && c.weight.length === 1, "a cross term");
-        if (!squares.every((item) => strict.has(item))) refute("nothing dominates a cross term");
+        if (!squares.every((item) => strict.has(item))) refute("a cross term");
         const ratios = squares.map((item, j) => {
           const W = spread(item.weight, n);
           return spread(of.vector(by[j][0]), n).map((x, i) => g.div(g.mul(c.weight[0], g.mul(x, x)), W[i]));
         });
-        const bounds = this.bounds(transposed(ratios).map((x) => g.total(x))) ?? refute("nothing dominates a cross term");
+        const bounds = this.bounds(transposed(ratios).map((x) => g.total(x))) ?? refute("a cross term");
         const largest = most(bounds.map((x) => x[1]));
         let group = groups.find((item) => [...used].some((x) => item.used.has(x)));
         if (!group) groups.push((group = { used, sum: zeroQ }));
         need(group.used.size === used.size && [...used].every((x) => group.used.has(x)), "a cross term");
         group.sum = sum(group.sum, largest);
-        if (!level && !less(group.sum, [1n, 1n])) refute("nothing dominates a cross term");
+        if (!level && !less(group.sum, [1n, 1n])) refute("a cross term");
       }
       const declared = of.cross.map((item) => of.term(item.term, "cross"));
-      for (const term of of.terms) if (term.role === "cross" && !declared.includes(term)) refute("nothing dominates a cross term");
+      for (const term of of.terms) if (term.role === "cross" && !declared.includes(term)) refute("a cross term");
       if (!groups.length) return null;
       const [n, d] = most(groups.map((item) => item.sum));
       return d === 1n ? `${n}` : `${n}/${d}`;
@@ -815,10 +812,10 @@ globalThis.checker = (() => {
     // dz/dt - A z of a linear equation.
     disturbance(item) {
       const { g, of } = this, z = item.vectors.map((k) => of.vector(k));
-      need(item.rates.length === z.length, "sizes");
+      need(item.rates.length === z.length, "size");
       return z.flatMap((vector, i) => {
         const row = item.rates[i].map((k, j) => spread(of.vector(k), z[j].length));
-        need(row.length === z.length && z.every((x) => x.length === vector.length), "sizes");
+        need(row.length === z.length && z.every((x) => x.length === vector.length), "size");
         return of.rates(vector).map((rate, k) => (rate === NONE ? NONE : row.reduce((x, factor, j) => g.sub(x, g.mul(factor[k], z[j][k])), rate)));
       });
     }
@@ -896,8 +893,8 @@ globalThis.checker = (() => {
       shown = once.filter((item) => again.includes(item));
       left = left.filter((item) => !shown.includes(item));
     }
-    const labels = (...kinds) => of.symbols.filter((item) => kinds.includes(item.kind)).map((item) => item.label).join(", ");
-    const given = of.samples ? "" : labels(...GIVEN), still = labels("constant", "stepping");
+    const labels = (kinds) => of.symbols.filter((item) => kinds.includes(item.kind)).map((item) => item.label).join(", ");
+    const given = of.samples ? "" : labels(GIVEN), still = labels(["constant", "stepping"]);
     const weights = [...new Set(of.terms.map((item) => item.level))].filter((x) => x).sort().join(", ");
     const stated = [given && `bounded: ${given}`, still && `constant: ${still}`, weights && `above kappa_above, and positive: ${weights}`];
     return {
