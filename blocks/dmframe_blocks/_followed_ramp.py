@@ -5,8 +5,8 @@ A ramp with the acceleration a_max would turn the commands u into
     r = r + clip(u - r, -a_max T, a_max T)
 
 A servo lags behind its command, as a ramp does, and the lag is not known. So the average velocity v of each joint is
-compared with those of filters 1/(1 + tau s), for tau = 0 and each of `RATIOS` times the parameter `lag`, once with the
-input u and once with r. The sums
+compared with those of filters 1/(1 + tau s), for tau = 0 and each of `RATIOS` times the parameter `lag_time`, once
+with the input u and once with r. The sums
 
     S_u(tau) = integral of |v - F_tau u|^2 over time,    S_r(tau) = integral of |v - F_tau r|^2
 
@@ -32,9 +32,9 @@ DOUBT: Final = 1e-3
 """Default of `doubt` [rad^2/s]: an error of 0.03 rad/s over a second, for example by friction or an encoder."""
 
 LAG: Final = 0.0125
-"""Default of `lag` [s]."""
+"""Default of `lag_time` [s]."""
 RATIOS: Final = (1, 2, 4, 8, 16)
-"""Time constants of the filters, relative to `lag`; that of a cascade without feed-forward is 1/k_p."""
+"""Time constants of the filters, relative to `lag_time`; that of a cascade without feed-forward is 1/k_p."""
 
 STATES: Final = (
     State("path_before", "n", "rad/s", sampled=True, optional=True),
@@ -88,17 +88,18 @@ def _compared(
 ) -> tuple[Mapping[str, SX], Mapping[str, SX], SX]:
     """The states of the filters, the sums, and the evidence after a sample; filters begin at the joints' velocity."""
     v, filters, sums = named("v_sample", (u.q - x.q_before) / u.T), dict[str, SX](), dict[str, SX]()
+    ratio = u.T / p.lag_time
     for state, total, sent in (("lagged", "missed_u", acted), ("lagged_ramp", "missed_r", ramped)):
         held = getattr(x, state)
-        filters[state] = known * filtered(held, sent, u.T / p.lag) + (1 - known) * ca.repmat(v, 1, len(RATIOS))
-        sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, u.T / p.lag), v))
+        filters[state] = known * filtered(held, sent, ratio) + (1 - known) * ca.repmat(v, 1, len(RATIOS))
+        sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, ratio), v))
     evidence = named("evidence_new", ca.sum1(least(sums["missed_r"]) - least(sums["missed_u"])))
     return filters, sums, evidence
 
 
 @operation
 def filtered(held: Any, sent: Any, ratio: Any) -> Any:
-    """The states of the filters of each joint after a sample of that command, a column for each; ratio is T/lag."""
+    """The states of the filters of each joint after a sample of that command; ratio is T/lag_time."""
     return ca.horzcat(*(sent + (held[:, k] - sent) * ca.exp(-ratio / each) for k, each in enumerate(RATIOS)))
 
 

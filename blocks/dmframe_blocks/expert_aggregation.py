@@ -99,7 +99,7 @@ class ExpertAggregation(AbstractBlock):
 
         min_tau (integral of |v - F_tau r|^2) - min_tau (integral of |v - F_tau u|^2)
 
-    for tau = 0 and 1, 2, 4, 8 and 16 times `lag`. Once it is below -doubt, D counts as zero.
+    for tau = 0 and 1, 2, 4, 8 and 16 times `lag_time`. Once it is below -doubt, D counts as zero.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class ExpertAggregation(AbstractBlock):
         Largest change of a command per second, where the path does not need more; by default it is not limited.
     doubt : scalar, rad^2/s, > 0
         Evidence for a ramp above which the command stays within `a_max`.
-    lag : scalar, s, > 0
+    lag_time : scalar, s, > 0
         Shortest time constant of the filters for the lag of the servo, with `a_max`; the longest one is 16 times it.
 
     Notes
@@ -190,7 +190,7 @@ class ExpertAggregation(AbstractBlock):
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     a_max: Diagonal | None = Positive("n", "rad/s^2", default=None)
     doubt: Scalar = Positive("", "rad^2/s", default=_followed_ramp.DOUBT)
-    lag: Scalar = Positive("", "s", default=_followed_ramp.LAG)
+    lag_time: Scalar = Positive("", "s", default=_followed_ramp.LAG)
 
     @model_validator(mode="after")
     def _has_a_rate(self) -> Self:

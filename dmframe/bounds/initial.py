@@ -14,10 +14,13 @@ from dmframe.block.certificate import SX, Square, Stored
 from dmframe.block.model import symbols_in
 from dmframe.block.port import Side
 from dmframe.bounds.disturbed import NoBoundError
+from dmframe.bounds.still import SLACK, nearest, still_of
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.starts import has_start, start_expression
+from dmframe.certify.symbols import symbols_of
 from dmframe.common.text import Text
+from dmframe.prove.definite import lower
 
 
 @final
@@ -47,20 +50,16 @@ class Initial:
 def initial_terms(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> list[Initial]:
     """Each stored term at the start of a run: from the graph's own start, or on the path and at rest.
 
+    The error of inertial parameters is the shortest one of those that give the same motions (`dmframe.bounds.still`).
+
     Raises `NoBoundError` for an initial value that neither the graph, nor a block, nor the path states.
     """
     begin = Begin(claim, numbers, start)
     return [
-        Initial(part.block, term.of, tuple(map(begin.at, _elements(term))), part.cascade, partial(begin.lowering, term))
+        Initial(part.block, term.of, tuple(begin.elements(term)), part.cascade, partial(begin.lowering, term))
         for part in claim.parts
         for term in part.stored
     ]
-
-
-def _elements(term: Stored) -> list[SX]:
-    if isinstance(term, Square) and ca.SX(term.weight).is_column():
-        return list(ca.vertsplit(ca.densify(term.vector * term.vector * term.weight / 2)))
-    return [ca.SX(term.value) / 2]
 
 
 @final
@@ -69,6 +68,30 @@ class Begin:
 
     def __init__(self, claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> None:
         self._claim, self._numbers, self._start = claim, numbers, start
+
+    def elements(self, term: Stored) -> list[SX]:
+        """Half the term at the start, element by element for a diagonal weight."""
+        if not isinstance(term, Square) or not ca.SX(term.weight).is_column():
+            return [self.at(ca.SX(term.value) / 2)]
+        error = ca.densify(term.vector)
+        weights = self.at(ca.densify(term.weight * ca.SX.ones(error.shape[0])))
+        found = self._shortest(term, self.at(error), weights)
+        return list(ca.vertsplit(found * found * weights / 2))
+
+    def _shortest(self, term: Square, error: SX, weights: SX) -> SX:
+        """The error up to directions in which its adaptation law never moves."""
+        still = still_of(self._claim, symbols_of(self._claim, self._numbers.uncertain), term)
+        if still is None:
+            return error
+        p = self._claim.loop
+        own = ca.Function("weights", [p.p], [weights])(p.p_values).full().ravel()
+        found = ca.DM(nearest(still.directions, own)) @ error
+        if still.box:
+            true = self.at(still.estimate) - found
+            inside = ca.vertcat(true - still.box[0], still.box[1] - true)
+            if min(map(lower, self._numbers.enclosed(inside))) <= 0:
+                return error
+        return SLACK * found
 
     def at(self, expression: SX, kept: Container[str] = ()) -> SX:
         """The expression in parameters and in initial values with intervals; the states in `kept` stay symbols."""

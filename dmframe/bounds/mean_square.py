@@ -44,6 +44,7 @@ from math import isfinite, sqrt
 from typing import Any, Final, final
 
 import casadi as ca
+import numpy as np
 
 from dmframe.block.certificate import SX, Square
 from dmframe.bounds.disturbed import NoBoundError, require_disturbed
@@ -53,18 +54,23 @@ from dmframe.bounds.supremum import Box
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.certify.error_bound import ErrorBound, ErrorBounds, Kind, Share
+from dmframe.certify.form import stepping
 from dmframe.certify.shell import largest_jacobian
 from dmframe.certify.symbols import symbols_of
+from dmframe.certify.tacit import pieces_of
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import Text, Written
 from dmframe.exact.balls import UndecidedError
-from dmframe.exact.rational import Interval
+from dmframe.exact.rational import Interval, as_float
+from dmframe.prove.definite import Number, lower, upper
 
 ROUNDED: Final = 1 + 1e-12
 """Factor that covers the rounding of the last operations in floating point."""
 TOOL: Final = Text(Written("x - x(q_d)", "x − x(q_d)", r"x - x(q_d)"))
 """Distance of the tool from its place at the desired joint positions."""
+DRAWN: Final = 3
+"""Robots at which the pieces of a signal with steps are compared."""
 SPLITS: Final = tuple(k / 200 for k in range(1, 200))
 """Values of r in (3)."""
 
@@ -115,15 +121,7 @@ def _bounded(verdict: Verdict) -> Claim:
         raise NoBoundError("the proof is up to a residual, whose effect grows with time")
     if not claim.cross_terms:
         raise NoBoundError("V holds no error that the servo level drives through a cross term")
-    if stepping := [leaf.name for leaf in claim.loop.trajectories if _steps(claim, leaf.name)]:
-        raise NoBoundError(f"V jumps where {stepping[0]} does")
     return claim
-
-
-def _steps(claim: Claim, label: str) -> bool:
-    block, _, port = label.partition(".")
-    outputs = claim.diagram.blocks[block].outputs if block in claim.diagram.blocks else ()
-    return any(item.name == port and item.steps for item in outputs)
 
 
 @final
@@ -144,6 +142,9 @@ class _ErrorBounds:
 
     def bounds(self) -> ErrorBounds:
         """The bounds on all tracking errors."""
+        for leaf in stepping(self._claim):
+            if not self._is_constant(leaf.symbol):
+                raise NoBoundError(f"V jumps where {leaf.name} does")
         found, missing, level = list[ErrorBound](), list[str](), self._level(self._servo())
         for consumer, _ in self._claim.cross_terms:
             for error, unit in self._errors(consumer):
@@ -158,6 +159,22 @@ class _ErrorBounds:
         if not found:
             missing.append("V holds no tracking error as a square")
         return ErrorBounds(tuple(found), tuple(missing))
+
+    def _is_constant(self, signal: SX) -> bool:
+        """True for a piecewise constant signal that has the same value on all pieces, of robots drawn from the box."""
+        pieces, _ = pieces_of(self._claim, self._numbers, self._claim.loop.on_path(signal))
+        if not pieces:
+            return False
+        parameters = self._claim.loop.parameters
+        function = ca.Function("pieces", [parameter.symbol for parameter in parameters], pieces, {"allow_free": True})
+        rng = np.random.default_rng(0)
+        for _ in range(DRAWN):
+            drawn = [_drawn(self._numbers.values[parameter.label], rng) for parameter in parameters]
+            shaped = [ca.reshape(ca.DM(x), *p.symbol.shape) for x, p in zip(drawn, parameters, strict=True)]
+            first, *others = (ca.DM(x).full() for x in function.call(shaped))
+            if any((first != other).any() for other in others):
+                return False
+        return True
 
     def _servo(self) -> Part:
         """The block that dominates all cross terms."""
@@ -247,6 +264,11 @@ def _at_the_tool(claim: Claim, found: Sequence[ErrorBound]) -> Iterator[ErrorBou
     for bound in found:
         if bound.unit == "rad" and largest is not None:
             yield replace(bound, signal=TOOL, value=largest * bound.value, unit="m")
+
+
+def _drawn(values: Sequence[Number], rng: np.random.Generator) -> list[float]:
+    """A number from each interval."""
+    return [as_float(lower(x)) + rng.uniform() * (as_float(upper(x)) - as_float(lower(x))) for x in values]
 
 
 @final

@@ -2,7 +2,8 @@ r"""Upper ends over the intervals of a graph, of single expressions and of produ
 
 The servo's gains are in the storage at the start and in the dissipation, so that the largest storage and the least
 dissipation belong to different robots. A product of expressions with few common symbols is therefore enclosed as a
-whole: the box is cut into pieces, and on each piece both the range and the mean value form,
+whole: the box is reduced to the face on which a monotonic function is largest, the face is cut into pieces, and on
+each piece both the range and the mean value form,
 
 .. math:: f(x) \in f(m) + f'(X)\,(X - m),
 
@@ -11,7 +12,7 @@ enclose f in floating-point intervals that are rounded outward.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -27,11 +28,14 @@ from dmframe.common.errors import ValueFault
 from dmframe.exact.enclosure import RULES, Enclosing, Enclosure
 from dmframe.exact.literal import literal
 from dmframe.exact.rational import Interval
-from dmframe.program import TO_READ, read
+from dmframe.exact.switching import SWITCHING
+from dmframe.program import INPUT, TO_READ, Program, read
 from dmframe.prove.definite import Number, upper
 
-PIECES: Final = {1: 64, 2: 16, 3: 6, 4: 4}
-"""Pieces into which each symbol's interval is cut, by the number of symbols with intervals."""
+MOST: Final = 6
+"""Number of symbols with intervals beyond which a product is not enclosed as a whole."""
+PIECES: Final = (1, 64, 20, 8, 5, 3, 2)
+"""Pieces into which each interval is cut, by the number of symbols in which the product is not monotonic."""
 
 
 @final
@@ -55,7 +59,7 @@ class Box:
         ]
 
     def _top(self, first: _Tied, second: _Tied, apart: Fraction) -> Fraction:
-        if not first.open & second.open or len(first.open | second.open) not in PIECES:
+        if not first.open & second.open or len(first.open | second.open) > MOST:
             return apart
         whole = self._in_pieces(first.expression * second.expression, sorted(first.open | second.open))
         return apart if whole is None else min(apart, whole)
@@ -84,25 +88,59 @@ class Box:
 
     def _in_pieces(self, expression: SX, varied: Sequence[int]) -> Fraction | None:
         """Upper end over the intervals of these symbols; None if a divisor may be zero, or an operation switches."""
-        symbols, intervals = zip(*(self._intervals[key] for key in varied), strict=True)
+        symbols = [self._intervals[key][0] for key in varied]
         used = {symbol.element_hash() for symbol in ca.symvar(expression)}
         closed = [self._values[key] for key in used - set(varied)]
         value = ca.vertcat(expression, ca.gradient(expression, ca.vertcat(*symbols)))
         columns = [ca.vertcat(*symbols), ca.vertcat(ca.SX(0, 1), *(symbol for symbol, _ in closed))]
         exact = [Enclosure.around(upper(each)) for _, each in closed]
-        boxes = _pieces(intervals)
-        middles = [Enclosure.of((box.lower + box.upper) / 2) for box in boxes]
         try:
             program = read(ca.Function("product", columns, [value], TO_READ))
-            enclosing = Enclosing(program, RULES, lambda number: Enclosure.around(literal(number)))
+            enclosing = Enclosing(program, SWITCHING, lambda number: Enclosure.around(literal(number)))
         except ValueFault:
             return None
-        wide, near = (program.dense(enclosing.values([each, exact]), Enclosure.of(0.0))[0] for each in (boxes, middles))
+        if _is_switched(program):
+            return None
+
+        def over(boxes: Sequence[Enclosure]) -> Sequence[Enclosure]:
+            return program.dense(enclosing.values([boxes, exact]), Enclosure.of(0.0))[0]
+
+        boxes = _pieces(_pinned([_around(self._intervals[key][1]) for key in varied], over))
+        middles = [Enclosure.of((box.lower + box.upper) / 2) for box in boxes]
+        wide, near = over(boxes), over(middles)
         mean = near[0]
         for slope, box, middle in zip(wide[1:], boxes, middles, strict=True):
             mean = mean + slope * (box - middle)
         largest = float(np.max(np.minimum(wide[0].upper, mean.upper)))
         return Fraction(largest) if np.isfinite(largest) else None
+
+
+def _is_switched(program: Program) -> bool:
+    """True if an operation other than a smooth one depends on the first argument: slopes do not bound its change."""
+    varied = list[bool]()
+    for node in program.nodes:
+        depends = node.a == 0 if node.code == INPUT else any(varied[k] for k in node.operands)
+        if depends and node.code != INPUT and node.code not in RULES:
+            return True
+        varied.append(depends)
+    return False
+
+
+def _around(interval: Interval) -> Enclosure:
+    return Enclosure(Enclosure.around(interval.lower).lower, Enclosure.around(interval.upper).upper)
+
+
+def _pinned(box: Sequence[Enclosure], over: Callable[[Sequence[Enclosure]], Sequence[Enclosure]]) -> list[Enclosure]:
+    """The face of the box on which a function is largest, as far as its slopes have one sign over the box."""
+    found, before = list(box), None
+    while found != before:
+        before = list(found)
+        for k, slope in enumerate(over(found)[1:]):
+            if slope.lower >= 0:
+                found[k] = Enclosure.of(found[k].upper)
+            elif slope.upper <= 0:
+                found[k] = Enclosure.of(found[k].lower)
+    return found
 
 
 @final
@@ -114,13 +152,13 @@ class _Tied:
     open: frozenset[int]
 
 
-def _pieces(intervals: Sequence[Interval]) -> list[Enclosure]:
+def _pieces(box: Sequence[Enclosure]) -> list[Enclosure]:
     """The box in pieces: for each symbol an array of its intervals on all pieces."""
-    count = PIECES[len(intervals)]
-    cells = np.array(list(product(range(count), repeat=len(intervals)))).T
+    moving = sum(bool(each.lower < each.upper) for each in box)
+    counts = [PIECES[min(moving, len(PIECES) - 1)] if each.lower < each.upper else 1 for each in box]
+    cells = np.array(list(product(*map(range, counts)))).T
     found = []
-    for interval, cell in zip(intervals, cells, strict=True):
-        low, high = Enclosure.around(interval.lower).lower, Enclosure.around(interval.upper).upper
-        marks = np.linspace(low, high, count + 1)  # whose first and last are the ends themselves
+    for each, count, cell in zip(box, counts, cells, strict=True):
+        marks = np.linspace(each.lower, each.upper, count + 1)  # whose first and last are the ends themselves
         found.append(Enclosure(marks[cell], marks[cell + 1]))
     return found

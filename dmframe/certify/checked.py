@@ -152,6 +152,10 @@ class Numbers:
             for symbol, value in zip(ca.vertsplit(column), values, strict=True)
         }
 
+    def value_of(self, symbol: SX) -> Number:
+        """The value of a parameter's scalar symbol."""
+        return self._elements[symbol.element_hash()]
+
     @cached_property
     def open(self) -> set[int]:
         """Identities of the symbols with intervals: parameters, and initial values (`Claim.starts`)."""

@@ -9,6 +9,8 @@ they are for intervals and for varied numbers.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from itertools import product
 from typing import Any, Final
 
 import casadi as ca
@@ -38,6 +40,8 @@ from dmframe.common.text import Label, Text, joined, name_of, sentence
 from dmframe.diagram.closed_loop import Parameter, stack
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection
 from dmframe.exact import ZeroDivision
+from dmframe.exact.balls import UndecidedError
+from dmframe.exact.rational import as_float
 from dmframe.program import JUMPS
 from dmframe.prove.definite import Number, lower, upper
 from dmframe.robot.parameters import INERTIAL
@@ -48,6 +52,8 @@ ROUNDING: Final = 1e-9 / 4
 AFTER: Final = 1e-9
 """Time after a switch at which a piecewise constant function is evaluated [s]."""
 TINY: Final = 1e-30
+MOST_OPEN: Final = 6
+"""Number of parameters with intervals of a load beyond which its corners are not tried."""
 """Offset with which the pivots of a zero load are positive."""
 
 
@@ -204,8 +210,33 @@ def _loads(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         pieces, rest = pieces_of(claim, numbers, claim.loop.on_path(leaf.symbol))
         if pieces:
             name = Text(Label(label), " is the inertia of a rigid body")
-            yield _held(name, ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True)), sufficient=True)
+            margin = ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True))
+            if (corners := _corners(numbers, ca.vertcat(*pieces))) is not None:
+                at_corners = ca.vertcat(*_pivots(corners, floor=True))
+                with suppress(ValueFault, UndecidedError):
+                    margin = at_corners if min(map(lower, numbers.enclosed(at_corners))) > 0 else margin
+            yield _held(name, margin, sufficient=True)
         yield _held(Text(Label(label), " changes at the same times as in the graph"), reads=rest)
+
+
+def _corners(numbers: Numbers, bodies: SX) -> SX | None:
+    """Bodies at the corners of the intervals of the parameters in which they are affine; None if they are not.
+
+    The positive semidefinite matrices are a convex set, so that corners that are rigid bodies decide for the whole box.
+    """
+    open_ = [symbol for symbol in ca.symvar(bodies) if symbol.element_hash() in numbers.open]
+    if (
+        not 0 < len(open_) <= MOST_OPEN
+        or not ca.jacobian(ca.jacobian(bodies, ca.vertcat(*open_)), ca.vertcat(*open_)).is_zero()
+    ):
+        return None
+    ends = [(lower(value), upper(value)) for value in map(numbers.value_of, open_)]
+    return ca.vertcat(
+        *(
+            ca.substitute(bodies, ca.vertcat(*open_), ca.vertcat(*(ca.SX(as_float(end)) for end in corner)))
+            for corner in product(*ends)
+        )
+    )
 
 
 def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Checked]:

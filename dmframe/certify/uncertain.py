@@ -16,6 +16,7 @@ from dmframe.block.parameter import Spec, array, read, specs
 from dmframe.block.port import Side
 from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram
+from dmframe.diagram.wiring import Wire
 from dmframe.exact.rational import Interval
 from dmframe.robot.rational import decimal
 
@@ -77,7 +78,7 @@ def _own(diagram: Diagram, label: str, of: str = "") -> tuple[Spec, str, np.ndar
     known = {
         f"{name}.{key}": (block, key)
         for name, block in diagram.blocks.items()
-        if block.side is Side.PLANT
+        if block.side is Side.PLANT or _is_hidden(diagram, name)
         for key in diagram.models[name].parameters
     }
     name, whole = label.partition(".")[0], f"{label}{RATIO}{of}" if of else label
@@ -95,6 +96,13 @@ def _own(diagram: Diagram, label: str, of: str = "") -> tuple[Spec, str, np.ndar
         text = f"uncertain.{whole}: expected the ratio to a parameter above zero of the same size"
         raise ValueFault(text, path=("uncertain", whole))
     return spec, _quotient(spec.unit, specs(type(block))[of].unit), own / divisor
+
+
+def _is_hidden(diagram: Diagram, name: str) -> bool:
+    """True for a source that the plant alone reads, such as a load."""
+    readers = [end for (end, _), source in diagram.sources.items() if isinstance(source, Wire) and source.block == name]
+    of_plant = all(diagram.blocks[end].side is Side.PLANT for end in readers)
+    return diagram.blocks[name].side is Side.SOURCE and bool(readers) and of_plant
 
 
 def _read(diagram: Diagram, label: str, value: Any) -> list[Interval]:
