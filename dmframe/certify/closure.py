@@ -82,8 +82,8 @@ class Closure:
         self._variables = claim.loop.variables
         self._columns = sum(variable.symbol.numel() for variable in self._variables) + 1  # the last one is the time
         self._movement = Movement(claim, numbers, seed, anywhere=anywhere, zeros=zeros)
-        self._shift = self._movement.shift
-        self._known = Echelon(self._shift.prime, self._columns)
+        self._trial = self._movement.trial
+        self._known = Echelon(self._trial.prime, self._columns)
         self.driving: list[tuple[str, StableLinear]] = []
         self.given: list[tuple[str, StableLinear]] = []
         self._sure: Echelon | None = None  # bounded directions without assumptions on driven states
@@ -99,7 +99,7 @@ class Closure:
     @property
     def prime(self) -> int:
         """Prime of the field in which dependencies are decided."""
-        return self._shift.prime
+        return self._trial.prime
 
     @property
     def tapes(self) -> Sequence[tuple[Sequence[Group], Tape]]:
@@ -161,8 +161,9 @@ class Closure:
 
     def _corrected(self, expression: SX, seen: frozenset[str] = frozenset()) -> bool:
         """True if the correction of each projection in it is bounded, as it is for a bounded nominal rate."""
-        used = symbols_in([expression])
-        for projection in self._claim.loop.projections:
+        projections = self._claim.loop.projections
+        used = symbols_in([expression]) if projections else set[int]()
+        for projection in projections:
             if not used & symbols_in([projection.correction]):
                 continue
             if projection.name in seen:
@@ -204,8 +205,8 @@ class Closure:
         """A random combination of all open directions."""
         found = [0] * self._columns
         for u in self._open():
-            factor = self._shift.random()
-            found = [(a + factor * b) % self._shift.prime for a, b in zip(found, u, strict=True)]
+            factor = self._trial.random()
+            found = [(a + factor * b) % self._trial.prime for a, b in zip(found, u, strict=True)]
         return found
 
     def _moves(self, expressions: Sequence[SX]) -> list[list[int]]:
@@ -263,7 +264,7 @@ class Closure:
                     self._keep([starts[k] for k in places], sizes.pop(), flat)
 
     def _keep(self, starts: Sequence[int], size: int, rates: Sequence[Sequence[int]]) -> None:
-        p = self._shift.prime
+        p = self._trial.prime
         for signs in product(SIGNED, repeat=len(starts) - 1):
             factors = (1, *signs)
             for element in range(size):
@@ -277,7 +278,7 @@ class Closure:
 
     def _copy(self) -> Echelon:
         """A copy of the bounded directions, to which others can be added."""
-        found = Echelon(self._shift.prime, self._columns)
+        found = Echelon(self._trial.prime, self._columns)
         for row in self._known.rows:
             found.add(row)
         return found

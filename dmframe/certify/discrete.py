@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
+from operator import or_
 from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.block.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
-from dmframe.block.model import depending, symbols_in
+from dmframe.block.certificate import Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
+from dmframe.block.model import symbols_in
 from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.conditions import conditions_stated, decide
@@ -16,14 +18,19 @@ from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.form import stepping
 from dmframe.certify.hypotheses import BETWEEN, of_the_plant, undefined
 from dmframe.certify.memories import triangle_starts
-from dmframe.certify.partial_functions import domains_of
-from dmframe.certify.points import in_random_field, outputs_at
+from dmframe.certify.partial_functions import restricted
+from dmframe.certify.points import in_random_field
 from dmframe.certify.projections import outside
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
 from dmframe.common.text import Label, Text, Written, joined, listed_text, name_of, sentence
-from dmframe.diagram.closed_loop import stack
-from dmframe.exact import Tape, Trial
+from dmframe.exact import Evaluation, Trial
+from dmframe.exact.ring import dependencies, needed
+from dmframe.program import INPUT
+from dmframe.prove import claim as data
+from dmframe.prove.identity import inputs_at
+from dmframe.prove.point import Point
+from dmframe.prove.rules import step_result
 
 SIGNS = sentence("{V} is positive, its decrease and its residual are not negative")
 LEMMAS: Final[Mapping[type, Text]] = {
@@ -123,9 +130,9 @@ def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
         yield Assumption(Text(text, f", in {len(left)} of {true.shape[0]} elements, {whose}"), lemma)
 
 
-def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
+def discrete_assumptions(claim: Claim, exact: data.Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
     """Facts that cannot be decided from the graph."""
-    yield from _domains(claim, symbols, seed)
+    yield from _domains(claim, exact, seed)
     yield from of_the_plant(claim.diagram)
     held = "samples are one period apart, and commands are held constant between samples"
     yield Assumption(held, "the means over a sample")
@@ -192,27 +199,39 @@ def discrete_statements(claim: Claim) -> Iterator[Statement]:
             yield Statement(sentence("{V} of {block}", block=part.block), says, Text("the identity above"))
 
 
-def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
+def _domains(claim: Claim, exact: data.Claim, seed: int) -> Iterator[Assumption]:
     """V and a block's memories are defined at the next sample: assumed if signals decide it.
 
     Divisors of update steps, such as their norms, and the period are positive, and are left out.
     """
-    for part in claim.parts:
-        wanted = list(_needed(claim, part, symbols))
-        steps = part.certificate.steps
-        given = [x for item in steps for x in item.named.values()]
-        tape = Tape.from_function(symbols.function("domains", [stack(wanted), *(ca.densify(ca.SX(x)) for x in given)]))
+    exact = exact.shared
+    made = dependencies(exact.tape, {k: 1 << k for k, s in enumerate(exact.symbols) if s.kind != "parameter"})
+    period = 1 << exact.inputs["T"]
+    for part, stated in zip(claim.parts, exact.parts, strict=True):
+        outs = [exact.moves[label] for label in _becoming(claim, part)]
+        wanted = [
+            place
+            for place in dict.fromkeys(operand for _, operand in _restricted(exact, outs))
+            if made[place] and not (made[place] == period and exact.tape.nodes[place].code == INPUT)
+        ]
+        given = [out for steps in stated.steps for out in steps.parts.values()]
+        places = needed(exact.tape, [exact.outputs[out] for out in (*outs, *given)])
 
-        def found(trial: Trial, tape: Tape = tape, steps: Sequence[Steps] = steps) -> tuple[list[int], set[int]]:
-            values, *numbers = outputs_at(tape, symbols, trial)
-            divisors, left = _Dividing(trial), iter(numbers)
+        def found(
+            trial: Trial,
+            steps: Sequence[data.Steps] = stated.steps,
+            places: Sequence[int] = places,
+            wanted: Sequence[int] = wanted,
+        ) -> list[int]:
+            inputs = inputs_at(exact, trial)
+            point = Point(exact, trial, inputs, Evaluation(exact.tape, inputs, trial, (), places).values)
+            divisors = _Dividing(trial)
             for item in steps:
-                item.result_in(divisors, {name: next(left) for name in item.named})
-            return values, divisors.residues
+                step_result(divisors, item, {name: point.out(out) for name, out in item.parts.items()})
+            return [place for place in wanted if point.values[place] % trial.prime not in divisors.residues]
 
-        values, known = in_random_field("domains", seed, found)
-        left = stack(x for x, value in zip(wanted, values, strict=True) if value not in known)
-        moving = [g.label for g in symbols.groups if g.kind != "parameter" and ca.depends_on(left, g.symbol)]
+        left = reduce(or_, (made[place] for place in in_random_field("domains", seed, found)), 0)
+        moving = [symbol.label for k, symbol in enumerate(exact.symbols) if left >> k & 1]
         if moving:
             more = "" if len(moving) <= SHOWN else " and others"
             text = (
@@ -221,6 +240,18 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
             text += "stay where these are defined, for any values of {moving}{more}"
             named = joined(list(map(Label, moving[:SHOWN])))
             yield Assumption(sentence(text, block=part.block, moving=named, more=more), "its equations need it")
+
+
+def _restricted(exact: data.Claim, outs: Sequence[str]) -> Iterator[tuple[int, int]]:
+    program = exact.tape.program
+    return restricted(program, [source for out in outs for source in program.sources[exact.outputs[out]]])
+
+
+def _becoming(claim: Claim, of: Part) -> list[str]:
+    """States whose next values V and the memories of a block depend on."""
+    own = symbols_in([of.storage])
+    kept = {f"{of.block}.{item.state}" for item in of.certificate.delay_lines}
+    return [label for label, x in claim.sample.symbols.items() if label in kept or own & symbols_in([x])]
 
 
 @final
@@ -235,20 +266,6 @@ class _Dividing:
         """1 / value; raises `ZeroDivision`."""
         self.residues.add(self._trial.reduced(value))
         return self._trial.inverse(value)
-
-
-def _needed(claim: Claim, of: Part, symbols: Symbols) -> Iterator[SX]:
-    """Expressions that the next values of V and of the memories depend on, and that vary."""
-    own = symbols_in([of.storage])
-    kept = {f"{of.block}.{item.state}" for item in of.certificate.delay_lines}
-    becomes = [
-        claim.sample.next[label] for label, x in claim.sample.symbols.items() if label in kept or own & symbols_in([x])
-    ]
-    still = symbols_in(group.symbol for group in symbols.groups if group.kind == "parameter")
-    period, needed = claim.loop.period.element_hash(), [part for _, part in domains_of(becomes)]
-    for part, moves in zip(needed, depending(needed, symbols_in(needed) - still), strict=True):
-        if moves and part.element_hash() != period:
-            yield part
 
 
 __all__ = ["discrete_assumptions", "discrete_conditions", "discrete_statements"]

@@ -17,6 +17,7 @@ from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Variable, stack
+from dmframe.program import TO_READ, read
 
 
 @final
@@ -121,9 +122,8 @@ def with_nodes(expression: SX, known: Sequence[Known], instead: SX) -> SX:
     after = [marks.get(element.element_hash(), element) for element in elements]
     place = [k for k, row in enumerate(after) if row is elements[k] and _may_hold(row, known)]
     if place:
-        both = ca.vertsplit(ca.cse(ca.vertcat(*(item.element for item in known), *(after[k] for k in place))))
-        marks = dict(zip((row.element_hash() for row in both), ca.vertsplit(instead), strict=False))
-        for k, value in zip(place, _rebuilt(both[len(known) :], marks), strict=True):
+        both = ca.cse(ca.vertcat(*(item.element for item in known), *(after[k] for k in place)))
+        for k, value in zip(place, _rebuilt(both, len(known), ca.vertsplit(instead)), strict=True):
             after[k] = value
     return ca.reshape(ca.vertcat(*after), *expression.shape)
 
@@ -133,24 +133,17 @@ def _may_hold(expression: SX, known: Sequence[Known]) -> bool:
     return any(item.used and item.used <= used for item in known)
 
 
-def _rebuilt(roots: Sequence[SX], marks: Mapping[int, SX]) -> list[SX]:
-    """Expressions with marked nodes replaced; each node is rebuilt once."""
-    done, kept = dict[int, SX](marks), list(roots)
-    waiting = list(roots)
-    while waiting:
-        node = waiting[-1]
-        key = node.element_hash()
-        parts = [node.dep(k) for k in range(node.n_dep())] if key not in done else []
-        if open_parts := [part for part in parts if part.element_hash() not in done]:
-            waiting += open_parts
-            kept += open_parts  # an identity is unique only while the node exists
-            continue
-        waiting.pop()
-        if key not in done:
-            values = [done[part.element_hash()] for part in parts]
-            same = all(value.element_hash() == part.element_hash() for value, part in zip(values, parts, strict=True))
-            done[key] = node if same else _operation(node.op(), values)
-    return [done[root.element_hash()] for root in roots]
+def _rebuilt(column: SX, count: int, instead: Sequence[SX]) -> list[SX]:
+    """The elements of a column after the first ones, with these replaced wherever they appear."""
+    function = ca.Function("driven", [], [ca.densify(column)], {"allow_free": True, **TO_READ})
+    program, old = read(function), function.instructions_sx()
+    (sources,) = program.sources
+    changed = dict(zip(sources[:count], instead, strict=True))
+    for place, node in enumerate(program.nodes):
+        if place not in changed and not changed.keys().isdisjoint(node.operands):
+            operands = [changed[k] if k in changed else old[program.nodes[k].line] for k in node.operands]
+            changed[place] = _operation(node.code, operands)
+    return [changed[k] if k in changed else old[program.nodes[k].line] for k in sources[count:]]
 
 
 def _operation(code: int, operands: Sequence[SX]) -> SX:

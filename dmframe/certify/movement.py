@@ -15,10 +15,13 @@ from dmframe.common.errors import ValueFault
 from dmframe.common.slices import slices
 from dmframe.diagram.pieces import rows_of
 from dmframe.exact import Tape, random_prime
-from dmframe.exact.shift import Shift, ZeroDivision
+from dmframe.exact.shift import Shift, ShiftTrial, ZeroDivision
 
 ATTEMPTS: Final = 20
 BITS: Final = 149
+
+MOVING: Final = ("state", "time")
+"""Kinds of symbols that a direction changes."""
 
 
 @final
@@ -37,7 +40,8 @@ class Movement:
         self._claim, self._numbers, self._free, self._zeros = claim, numbers, anywhere, zeros
         self._symbols = symbols_of(claim, numbers.uncertain)
         rng = random.Random(seed + 3)
-        self.shift: Final = Shift(random_prime(rng, BITS), rng)
+        self.trial: Final = ShiftTrial(random_prime(rng, BITS), rng)
+        self._shifts = dict[tuple[int, int], Shift]()
         self._points: list[dict[str, list[int]]] = [{}, {}]
         self.tapes = list[tuple[Sequence[Group], Tape]]()
         self.read, self._places = list[SX](), dict[tuple[Any, ...], tuple[int, int]]()
@@ -53,11 +57,11 @@ class Movement:
                 if group.label in self._zeros:
                     first[group.label] = [0] * size
                 elif group.kind == "parameter" and not self._varies(group):
-                    first[group.label] = [self.shift.residue(value) for value in own[group.label]]
+                    first[group.label] = [self.trial.residue(value) for value in own[group.label]]
                 else:
-                    first[group.label] = [self.shift.random() for _ in range(size)]
+                    first[group.label] = [self.trial.random() for _ in range(size)]
                 shared = group.kind in ("parameter", "weight")
-                second[group.label] = first[group.label] if shared else [self.shift.random() for _ in range(size)]
+                second[group.label] = first[group.label] if shared else [self.trial.random() for _ in range(size)]
 
     def _varies(self, group: Group) -> bool:
         """True for a parameter without a fixed number, such as one with an interval; rotations stay orthogonal."""
@@ -69,8 +73,8 @@ class Movement:
         """A point with its states and its time shifted along u."""
         steps = {"t": u[-1:]} | {v.label: u[rows] for v, rows in rows_of(self._claim.loop.variables)}
         return [
-            [(a + b) % self.shift.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
-            if group.kind in ("state", "time")
+            [(a + b) % self.trial.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
+            if group.kind in MOVING
             else list(point[group.label])
             for group in groups
         ]
@@ -92,7 +96,7 @@ class Movement:
 
     def values(self, expressions: Sequence[SX], place: int) -> list[int]:
         """Elements of columns at one of the two points."""
-        (found,) = self._evaluated(expressions, place, lambda tape, at: [self.shift.values(tape, at)])
+        (found,) = self._evaluated(expressions, place, lambda shift, _, outputs: [shift.values(outputs)])
         return found
 
     def along(self, expressions: Sequence[SX], direction: Sequence[int]) -> list[list[int]]:
@@ -104,32 +108,39 @@ class Movement:
         self, expressions: Sequence[SX], place: int, directions: Sequence[Sequence[int]]
     ) -> list[list[int]]:
         """Changes of each element of columns along each direction, at one of the two points."""
+
+        def changes(shift: Shift, groups: Sequence[Group], outputs: Sequence[int]) -> list[list[int]]:
+            return shift.differences(outputs, [self._moved(groups, self._points[place], u) for u in directions])
+
         for _ in range(ATTEMPTS):
             try:
-                return self._evaluated(expressions, place, self.shift.difference, directions)
+                return self._evaluated(expressions, place, changes)
             except ZeroDivision:
-                directions = [[2 * x % self.shift.prime for x in u] for u in directions]
+                directions = [[2 * x % self.trial.prime for x in u] for u in directions]
         raise ValueFault("a denominator vanishes at every random point")
 
     def _evaluated(
         self,
         expressions: Sequence[SX],
         place: int,
-        evaluate: Callable[..., list[list[int]]],
-        directions: Sequence[Sequence[int]] | None = None,
+        evaluate: Callable[[Shift, Sequence[Group], Sequence[int]], list[list[int]]],
     ) -> list[list[int]]:
-        """Rows of all elements, evaluated tape by tape at a point, or at the point and shifted along directions."""
-        point, places = self._points[place], self._found(expressions)
-        rows = dict[int, list[list[int]]]()
+        """Rows of all elements, evaluated tape by tape at a point."""
+        places = self._found(expressions)
+        parts = dict[tuple[int, int], list[list[int]]]()
         for number in dict.fromkeys(number for number, _ in places):
             groups, tape = self.tapes[number]
-            given: list[Any] = [[point[group.label] for group in groups]]
-            if directions is not None:
-                given.append([self._moved(groups, point, u) for u in directions])
-            rows[number] = evaluate(tape, *given)
-        parts = [
-            (number, list(slices(item.size for item in self.tapes[number][1].outputs))[output])
-            for number, output in places
-        ]
-        count = 1 if directions is None else len(directions)
-        return [[x for number, part in parts for x in rows[number][row][part]] for row in range(count)]
+            outputs = list(dict.fromkeys(output for of, output in places if of == number))
+            rows = evaluate(self._shift(number, place), groups, outputs)
+            for output, part in zip(outputs, slices(tape.outputs[output].size for output in outputs), strict=True):
+                parts[number, output] = [row[part] for row in rows]
+        count = len(next(iter(parts.values()), [[]]))
+        return [[x for at in places for x in parts[at][row]] for row in range(count)]
+
+    def _shift(self, number: int, place: int) -> Shift:
+        """A tape at one of the two points."""
+        if (number, place) not in self._shifts:
+            groups, tape = self.tapes[number]
+            point, moving = self._points[place], [k for k, group in enumerate(groups) if group.kind in MOVING]
+            self._shifts[number, place] = Shift(tape, [point[group.label] for group in groups], self.trial, moving)
+        return self._shifts[number, place]

@@ -29,9 +29,18 @@ def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
     """Divisions and partial functions in expressions, with the operand that their domain restricts."""
     column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
     function = ca.Function("domains_of", [], [column], {"allow_free": True, **TO_READ})
-    program, signs = read(function), dict[tuple[int, int], Sign]()
+    program = read(function)
     expressions: SX | None = None
-    todo, seen = [*program.sources[0]], set[int]()
+    for place, _ in restricted(program, program.sources[0]):
+        node = program.nodes[place]
+        if expressions is None:
+            expressions = function.instructions_sx()  # ten times as fast as SX.dep
+        yield node.code, expressions[node.line].dep(OPERATIONS[node.code].domain)
+
+
+def restricted(program: Program, roots: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Divisions and partial functions below some values of a program, with the operand that their domain restricts."""
+    todo, seen, signs = [*roots], set[int](), dict[tuple[int, int], Sign]()
     while todo:
         place = todo.pop()
         node = program.nodes[place]
@@ -40,9 +49,7 @@ def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
         seen.add(place)
         domain = OPERATIONS[node.code].domain
         if domain is not None and not _is_safe(program, place, node.operands[domain], signs):
-            if expressions is None:
-                expressions = function.instructions_sx()  # ten times as fast as SX.dep
-            yield node.code, expressions[node.line].dep(domain)
+            yield place, node.operands[domain]
         todo += node.operands
 
 

@@ -23,12 +23,11 @@ def residues(trial: Trial, group: Group) -> list[int]:
 
 def at_random_point(tape: Tape, symbols: Symbols, seed: int) -> list[list[int]]:
     """Outputs of a function of all symbols; raises `ValueFault` if it is undefined everywhere."""
-    return in_random_field(tape.name, seed, lambda trial: outputs_at(tape, symbols, trial))
 
+    def outputs(trial: Trial) -> list[list[int]]:
+        return tape.evaluate([residues(trial, group) for group in symbols.groups], trial)
 
-def outputs_at(tape: Tape, symbols: Symbols, trial: Trial) -> list[list[int]]:
-    """Outputs of a function of all symbols at a random point of one field; raises `ZeroDivision`."""
-    return tape.evaluate([residues(trial, group) for group in symbols.groups], trial)
+    return in_random_field(tape.name, seed, outputs)
 
 
 def in_random_field(name: str, seed: int, found: Callable[[Trial], T]) -> T:

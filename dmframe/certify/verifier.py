@@ -175,16 +175,17 @@ def _verified(
     try:
         require_sound(exact)
         points = Points.of(exact, seed=seed)
-        first = points.at(0)
-        if not first.zero:
-            return refuted(first)
+        exact.shared.prepare()  # once, before copies of this process need it
         jobs: list[Callable[[], Any]] = [partial(compared, claim, *row, seed) for row in rows]
         jobs += [partial(inject_faults, exact, seed=seed), partial(empty, exact, seed)]
         jobs += [partial(points.at, k) for k in range(1, trials)]
         with shared(jobs, busy=True, small=alone) as finished:
+            first = points.at(0)
+            if not first.zero:
+                return refuted(first)
             done = cache(finished)
             if examiner is None:
-                found = _in_discrete_time(claim, symbols, numbers, start, seed, lambda: done()[: len(rows)])
+                found = _in_discrete_time(claim, exact, symbols, numbers, start, seed, lambda: done()[: len(rows)])
             else:
                 found = _in_continuous_time(claim, symbols, numbers, start, seed, examiner)
             controls, nothing, *others = done()[len(rows) :]
@@ -262,6 +263,7 @@ def _in_continuous_time(
 
 def _in_discrete_time(
     claim: Claim,
+    exact: data.Claim,
     symbols: Symbols,
     numbers: Numbers,
     start: Mapping[str, Any],
@@ -269,7 +271,7 @@ def _in_discrete_time(
     rows: Callable[[], Sequence[Compared | Assumption]],
 ) -> _Found:
     stated = list(discrete_conditions(claim, numbers, start))
-    assumed = tuple(discrete_assumptions(claim, symbols, seed))
+    assumed = tuple(discrete_assumptions(claim, exact, symbols, seed))
     statements, states = tuple(discrete_statements(claim)), sampled_states(claim, numbers, seed)
     reached = tuple(reach_conditions(claim))
     conditions, assumptions = sorted_out([*stated, *(explained(claim, item) for item in rows())])

@@ -54,10 +54,10 @@ class Algebra:
         """One * other^power; zero if either is zero."""
         if not one or not other:
             return ANYTHING
-        key = (one, other, power)
+        key = (self._resolved.get(one, one), self._resolved.get(other, other), power)
         found = self._products.get(key)
         if found is None:
-            found = self._products[key] = self.handle(product(self._known[one], self._known[other], power))
+            found = self._products[key] = self.handle(product(self._known[key[0]], self._known[key[1]], power))
         return found
 
     def same(self, one: int, other: int) -> int | None:
@@ -66,9 +66,11 @@ class Algebra:
             return one
         if not one:
             return other
-        key = self._resolve(one), self._resolve(other)
+        key = one, other = self._resolve(one), self._resolve(other)
+        if one == other:
+            return one
         if key not in self._compared:
-            a, b = self._known[key[0]], self._known[key[1]]
+            a, b = self._known[one], self._known[other]
             ratio = product(a, b, -1)
             if ratio.unknowns:
                 self._solve(ratio, exact=ratio.angular and not a.number and not b.number)

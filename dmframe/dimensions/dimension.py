@@ -52,12 +52,21 @@ PLAIN: Final = ONE._replace(angular=False)
 
 def product(one: Dimension, other: Dimension, power: Power = 1) -> Dimension:
     """One * other^power."""
-    powers = tuple(a + power * b for a, b in zip(one.powers, other.powers, strict=True))
-    unknowns = dict(one.unknowns)
-    for key, exponent in other.unknowns:
-        unknowns[key] = unknowns.get(key, 0) + power * exponent
-    left = tuple(sorted((key, exponent) for key, exponent in unknowns.items() if exponent))
+    powers = one.powers
+    if any(other.powers):
+        powers = tuple(_plain(a + power * b) for a, b in zip(powers, other.powers, strict=True))
+    left = one.unknowns
+    if other.unknowns:
+        unknowns = dict(left)
+        for key, exponent in other.unknowns:
+            unknowns[key] = _plain(unknowns.get(key, 0) + power * exponent)
+        left = tuple(sorted((key, exponent) for key, exponent in unknowns.items() if exponent))
     return Dimension(powers, left, one.angular and other.angular, one.number and other.number)
+
+
+def _plain(power: Power) -> Power:
+    """The same power, as an integer if it is one."""
+    return power.numerator if power.denominator == 1 else power
 
 
 @functools.cache

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -84,3 +84,16 @@ def needed(tape: Tape, outputs: Iterable[int]) -> tuple[int, ...]:
         if place in required:
             required.update(tape.nodes[place].operands)
     return tuple(sorted(required))
+
+
+def dependencies(tape: Tape, inputs: Mapping[int, int]) -> list[int]:
+    """The inputs that each instruction depends on, as the union of their bits; `inputs` has the bits by position."""
+    masks, arity = list[int](), {code: operation.arity for code, operation in OPERATIONS.items()}
+    for code, a, b, _, _ in tape.nodes:
+        if code == INPUT:
+            masks.append(inputs.get(a, 0))
+        elif code == CONST:
+            masks.append(0)
+        else:
+            masks.append(masks[a] | masks[b] if arity[code] == 2 else masks[a])
+    return masks

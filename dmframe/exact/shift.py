@@ -7,97 +7,92 @@ stays bounded if, for example, a joint angle increases without bound.
 
 from __future__ import annotations
 
-import random
-from collections.abc import Sequence
-from fractions import Fraction
-from typing import final
+from collections.abc import Collection, Sequence
+from functools import cached_property
+from typing import Final, final
 
 from dmframe.exact.tape import Tape
 from dmframe.exact.trial import Trial, ZeroDivision
-from dmframe.program import OPERATIONS
+from dmframe.program import INPUT, OPERATIONS, by_code
 
-BOUNDED = frozenset(operation.name for operation in OPERATIONS.values() if operation.bounded)
-"""Functions with a bounded range; sin, cos and sign are not called by name."""
+_FROZEN: Final = frozenset(
+    by_code(dict.fromkeys(("sin", "cos", "sign", *(item.name for item in OPERATIONS.values() if item.bounded)), 0))
+)
+"""Functions with a bounded range."""
 
 
 @final
-class _Frozen(Trial):
-    """A trial in which each call of a bounded function returns what the same call of the first evaluation returned."""
-
-    def __init__(self, prime: int, rng: random.Random) -> None:
-        super().__init__(prime, rng)
-        self._recorded: list[tuple[int, int]] = []
-        self._next: int | None = None
-
-    def begin(self, *, replay: bool) -> None:
-        """Start to record, or to replay the record."""
-        if replay:
-            self._next = 0
-        else:
-            self._recorded, self._next = [], None
-
-    def cos_sin(self, angle: int) -> tuple[int, int]:
-        return self._recorded_value() or self._record(super().cos_sin(angle))
+class ShiftTrial(Trial):
+    """A trial for points that are shifted."""
 
     def sign(self, value: int) -> int:
-        """Return a random number, the same at both points: x - x s is not bounded, for any s."""
-        return (self._recorded_value() or self._record((self.random(), 0)))[0]
+        """Return a random number: x - x s is not bounded, for any s."""
+        return self.random()
 
     def size(self, value: int) -> int:
         """Return the absolute value as an opaque even function, since it has no bound."""
         return self.opaque("fabs", (min(value, self.prime - value),))
 
-    def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
-        if name not in BOUNDED:
-            return super().opaque(name, arguments)
-        return (self._recorded_value() or self._record((super().opaque(name, arguments), 0)))[0]
-
-    def _recorded_value(self) -> tuple[int, int] | None:
-        if self._next is None:
-            return None
-        self._next += 1
-        return self._recorded[self._next - 1]
-
-    def _record(self, value: tuple[int, int]) -> tuple[int, int]:
-        self._recorded.append(value)
-        return value
-
 
 @final
 class Shift:
-    """Differences of functions along directions, in a random prime field."""
+    """A tape at one point of a prime field, and at points to which it is shifted.
 
-    def __init__(self, prime: int, rng: random.Random) -> None:
-        self.prime = prime
-        self._trial = _Frozen(prime, rng)
+    Bounded functions keep their values, so that only the instructions are evaluated again that depend on moving inputs
+    in another way. Raises `ZeroDivision` where a denominator vanishes, as `differences` does.
 
-    def residue(self, value: Fraction) -> int:
-        """An exact number as a residue."""
-        return self._trial.residue(value)
+    Parameters
+    ----------
+    moving
+        Positions of the inputs that a shift may change.
+    """
 
-    def random(self) -> int:
-        """A uniformly random residue."""
-        return self._trial.random()
+    def __init__(self, tape: Tape, point: Sequence[Sequence[int]], trial: ShiftTrial, moving: Collection[int]) -> None:
+        self._tape, self._trial, self._inputs = tape, trial, frozenset(moving)
+        self._values = [0] * len(tape)
+        tape.compute(enumerate(tape.nodes), self._values, point, trial)
+        self._needed = dict[tuple[int, ...], list[int]]()
 
-    def values(self, tape: Tape, point: Sequence[Sequence[int]]) -> list[int]:
-        """All outputs at a point."""
-        self._trial.begin(replay=False)
-        return [value for output in tape.evaluate(point, self._trial) for value in output]
+    def values(self, outputs: Sequence[int]) -> list[int]:
+        """All elements of some outputs at the point."""
+        return [value for output in outputs for value in self._of(self._values, output)]
 
-    def difference(
-        self, tape: Tape, point: Sequence[Sequence[int]], moved: Sequence[Sequence[Sequence[int]]]
-    ) -> list[list[int]]:
-        """All outputs at each of the moved points minus those at the point, bounded functions frozen there.
-
-        Raises `ZeroDivision` where a denominator vanishes.
-        """
-        here = self.values(tape, point)
+    def differences(self, outputs: Sequence[int], moved: Sequence[Sequence[Sequence[int]]]) -> list[list[int]]:
+        """All elements of some outputs at each of the moved points minus those at the point."""
+        nodes, places, here = self._tape.nodes, self._places(tuple(outputs)), self.values(outputs)
         found = []
         for there in moved:
-            self._trial.begin(replay=True)
-            flat = [value for output in tape.evaluate(there, self._trial) for value in output]
-            found.append([(a - b) % self.prime for a, b in zip(flat, here, strict=True)])
+            values = self._values.copy()
+            self._tape.compute(((place, nodes[place]) for place in places), values, there, self._trial)
+            flat = (value for output in outputs for value in self._of(values, output))
+            found.append([(a - b) % self._trial.prime for a, b in zip(flat, here, strict=True)])
         return found
 
+    def _of(self, values: Sequence[int], output: int) -> list[int]:
+        """An output, dense and column-major."""
+        pattern, matrix = self._tape.outputs[output], [0] * self._tape.outputs[output].size
+        for place, source in zip(pattern.places, self._tape.program.sources[output], strict=True):
+            matrix[place] = values[source] % self._trial.prime
+        return matrix
 
-__all__ = ["Shift", "ZeroDivision"]
+    @cached_property
+    def _moving(self) -> list[int]:
+        """Instructions that depend on moving inputs outside of bounded functions, in order."""
+        found = set[int]()
+        for place, (code, a, b, _, _) in enumerate(self._tape.nodes):
+            if a in self._inputs if code == INPUT else code not in _FROZEN and (a in found or b in found):
+                found.add(place)
+        return sorted(found)
+
+    def _places(self, outputs: tuple[int, ...]) -> list[int]:
+        """Those of them on which some outputs depend."""
+        if outputs not in self._needed:
+            required = {source for output in outputs for source in self._tape.program.sources[output]}
+            for place in reversed(self._moving):
+                if place in required:
+                    required.update(self._tape.nodes[place].operands)
+            self._needed[outputs] = [place for place in self._moving if place in required]
+        return self._needed[outputs]
+
+
+__all__ = ["Shift", "ShiftTrial", "ZeroDivision"]

@@ -237,6 +237,10 @@ class Claim:
         moving = [self.inputs[label] for label in self.moved]
         return between(self.tape, moving, [self.outputs[out] for out in self.differentiated])
 
+    def prepare(self) -> None:
+        """Compute what each evaluation at a point reads."""
+        _ = self.places, self.later if self.over_samples else self.flow, self.momenta and self.plant_flow
+
     def _tangents(self, outs: tuple[Out, ...], moves: Mapping[str, Out]) -> Tangents:
         return Tangents(self.tape, [self.outputs[out] for out in outs], [self.inputs[label] for label in moves])
 

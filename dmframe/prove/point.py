@@ -65,11 +65,11 @@ class Point:
         self, claim: Claim, ring: Any, inputs: Sequence[Numbers], values: Numbers, known: Known | None = None
     ) -> None:
         self._known = {} if known is None else known
-        self.claim, self.ring, self.inputs, self._values = claim, ring, inputs, values
+        self.claim, self.ring, self.inputs, self.values = claim, ring, inputs, values
 
     def out(self, name: Out) -> list[Any]:
         """An output, dense and column-major; zeros are the integer 0."""
-        return _dense(self.claim.tape, self._values, self.claim.outputs[name])
+        return _dense(self.claim.tape, self.values, self.claim.outputs[name])
 
     def input(self, label: str) -> Numbers:
         """Values of a symbol."""
@@ -85,7 +85,7 @@ class Point:
 
     def at(self, states: Mapping[str, Numbers]) -> Point:
         """The point with other values of these states, for the outputs that V is computed from."""
-        inputs, values = list(self.inputs), list(self._values)
+        inputs, values = list(self.inputs), list(self.values)
         for label, numbers in states.items():
             inputs[self.claim.inputs[label]] = numbers
         places = self.claim.later
@@ -98,14 +98,14 @@ class Point:
 
     def derivatives(self, moves: Mapping[str, Numbers]) -> dict[Out, list[Any]]:
         """Derivatives of the outputs that V is computed from, along these rates."""
-        columns = self.claim.flow.along(self.ring, self._values, self._direction(moves))
+        columns = self.claim.flow.along(self.ring, self.values, self._direction(moves))
         return dict(zip(self.claim.differentiated, columns, strict=True))
 
     def plant_derivatives(self) -> dict[Out, list[Any]]:
         """Derivatives of the plant's momenta along the plant's rates."""
         claim = self.claim
         direction = self._direction(self.moves(claim.plant_moves))
-        return dict(zip(claim.momenta, claim.plant_flow.along(self.ring, self._values, direction), strict=True))
+        return dict(zip(claim.momenta, claim.plant_flow.along(self.ring, self.values, direction), strict=True))
 
     def _direction(self, moves: Mapping[str, Numbers]) -> dict[int, Numbers]:
         return {self.claim.inputs[label]: numbers for label, numbers in moves.items()}
