@@ -29,7 +29,7 @@ globalThis.checker = (() => {
     if (d < 0n) [n, d] = [-n, -d];
     let [a, b] = [n < 0n ? -n : n, d];
     while (b) [a, b] = [b, a % b];
-    if (d / a > BIG || n / a > BIG || n / a < -BIG) fail("too large", Undecided);
+    if (d / a > BIG || n / a > BIG || n / a < -BIG) fail("size", Undecided);
     return [n / a, d / a];
   }
   const sum = (x, y) => fraction(x[0] * y[1] + y[0] * x[1], x[1] * y[1]);
@@ -78,7 +78,7 @@ globalThis.checker = (() => {
       let k = this.known.get(key);
       if (k === undefined) {
         k = this.op.length;
-        need(k < LARGEST, "too large");
+        need(k < LARGEST, "size");
         this.known.set(key, k);
         this.op.push(op); this.a.push(a); this.b.push(b);
       }
@@ -196,7 +196,7 @@ globalThis.checker = (() => {
   function keys(item, text, names, optional = "") {
     const [must, may] = [names, optional].map((x) => x.split(" "));
     const wrong = [...Object.keys(item).filter((x) => !must.includes(x) && !may.includes(x)), ...must.filter((x) => x && !Object.hasOwn(item, x))];
-    need(!wrong.length, `${text}: missing or unknown: ${wrong}`);
+    need(!wrong.length && ["name", "signal", "says"].every((x) => ["undefined", "string"].includes(typeof item[x])), `${text}: missing or unknown: ${wrong}`);
     return item;
   }
   const whole = (x, from = 0, to = LARGEST) => {
@@ -233,7 +233,7 @@ globalThis.checker = (() => {
       this.terms = this.terms.map((item) => this.readTerm(item));
       this.derivatives = new Map();
       const stored = this.terms.filter((item) => item.role === "stored").flatMap((item) => Object.keys(item.parts).map((x) => item[x]));
-      need(stored.length || this.steps.length, "V has no term");
+      need(stored.length || this.steps.length, "V");
       this.constant(stored.flat(), "V", true);
     }
     readSymbol(item) {
@@ -270,7 +270,7 @@ globalThis.checker = (() => {
       need(level && known && (!this.samples || (item.rule === "square" && !item.level && item.role !== "cross")), `${item.name}: its role`);
       return { ...item, ...parts, weightOf: item.level ? this.inputs(item.level)[0] : ONE };
     }
-    symbol(label) { return this.symbols[this.places.get(label) ?? fail(`unknown symbol ${label}`)]; }
+    symbol(label) { return this.symbols[this.places.get(label) ?? fail(label)]; }
     inputs(label) { return Array.from({ length: this.symbol(label).size }, (_, k) => this.graph.input(this.places.get(label), k)); }
     vector(k) { return at(this.vectors, k); }
     term(k, role) {
@@ -278,12 +278,12 @@ globalThis.checker = (() => {
       need(found.role === role && found.rule === "square", `${found.name}: its role`);
       return found;
     }
-    next(label) { return this.moves.get(this.places.get(label)) ?? fail(`${label}: no rate`); }
+    next(label) { return this.moves.get(this.places.get(label)) ?? fail(label); }
     // These depend on constants alone; or, if `moving`, also on what has a rate.
     constant(nodes, text, moving) {
       for (const k of this.graph.reads(nodes)) {
         const { kind, label } = this.symbols[k], moves = this.moves.has(k) || (kind === "time" && !this.samples);
-        need(CONSTANT.includes(kind) || (moving && moves), `${text} depends on ${label}`);
+        need(CONSTANT.includes(kind) || (moving && moves), label);
       }
     }
     // Derivatives; NONE where there is none, or of a symbol without a rate.
@@ -581,7 +581,7 @@ globalThis.checker = (() => {
   function identity(of) {
     const found = equalities(of), all = [...found, [0, of.vectors.flat()], [0, of.divided]].flatMap(([, nodes]) => nodes);
     const total = Math.log2(degrees(of.graph, all)), size = SIZES.find((size) => total + 3 - size < -64);
-    need(size, "too large");
+    need(size, "size");
     const error = 3 + total - size;
     let points = 0;
     for (let tried = 0; points * error > WANTED; need(tried++ < 40, "a divisor vanishes")) {
@@ -595,6 +595,9 @@ globalThis.checker = (() => {
         if (!(fault instanceof Undecided)) throw fault;
       }
     }
+    const last = new Point(of, randomPrime(size), size, new Map()); // no divisor vanishes with the file's numbers
+    for (const [k, [low, high]] of of.known) if (String(low) === String(high)) last.given.set(k, last.residue(low));
+    last.at(of.divided);
     return [points * error, points];
   }
 

@@ -334,6 +334,9 @@ class Certificate:
         self.lists = dict.fromkeys((*FLOW, *SAMPLE), ()) | lists
         self.symbols, self.kinds, self.fixed, self.numbers, self.derivatives, self.divided = {}, {}, {}, {}, {}, []
         self.assumed = list(map(str, data["assumed"]))
+        texts = [x for item in lists["conclusions"] for x in (item["signal"], item["says"])]
+        texts += [item["name"] for item in (*lists["conditions"], *lists["terms"], *lists.get("ranks", ()))]
+        need(all(type(x) is str for x in texts), "a name: expected a text")
         need(sum(abs(item["size"]) for item in lists["symbols"]) < LARGEST, "symbols: too many elements")
         for item in lists["symbols"]:
             self.read_symbol(**item)
@@ -644,6 +647,8 @@ def identity(of):
         for name, own in found:
             show(any(exact[node] for node in own) == (name == "V"), f"{name} does not hold")
         points += 1
+    field = Field(random_prime(bits))  # no divisor vanishes with the file's numbers
+    evaluate(of.divided, field, {x: field.call(number(i.lower)) for x, i in of.numbers.items() if i.lower == i.upper})
     return points * (degree + 3 - bits), points
 
 

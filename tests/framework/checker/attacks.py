@@ -174,6 +174,19 @@ def more() -> Iterator[Attack]:
         file.data["rates"]["x"] = file.vector(file.instruction("add", x, nothing))
         yield f"a pole that {name} removes", file.data, "refused"
 
+    file = stable()
+    K = file.symbol("K", "parameter", numbers=[["60", "60"]])
+    x = file.data["vectors"][file.data["rates"]["x"]][1][0]
+    pole = file.instruction("div", x, file.instruction("sub", K, file.number("60")))
+    file.data["rates"]["y"] = file.vector(pole)
+    file.symbol("y", "state")
+    yield "a rate with a pole at the file's numbers", file.data, "refused"
+
+    for value in (None, True, 1, ["is bounded"]):
+        data = stable().data
+        data["conclusions"][0]["says"] = value
+        yield f"a conclusion that says {value!r}", data, "refused"
+
     file = File()
     a, correction = file.symbol("a", "state"), file.symbol("a, correction", "projection")
     file.data["rates"]["a"] = file.vector(correction)

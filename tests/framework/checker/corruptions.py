@@ -47,7 +47,7 @@ FUNCTIONS: Final[dict[str, Any]] = {
     "cos": lambda a, b: math.cos(a),
     "tanh": lambda a, b: math.tanh(a),
     "atan": lambda a, b: math.atan(a),
-    "sqrt": lambda a, b: math.sqrt(a),
+    "sqrt": lambda a, b: math.sqrt(abs(a)),  # arguments are assumed to be positive
     "fabs": lambda a, b: abs(a),
     "fmin": lambda a, b: min(a, b),
     "fmax": lambda a, b: max(a, b),
