@@ -234,9 +234,10 @@ def _fault(data: dict[str, Any], found: dict[str, Any], symbols: dict[str, list[
             return f"condition {item['name']}"
     for item in data.get("projections", []):
         low, true, high = (at.vectors[item[key]] for key in ("lower", "true", "upper"))
-        wide = true * len(low) if len(true) == 1 else true
+        size = len(symbols[item["state"]])
+        low, true, high = (x * size if len(x) == 1 else x for x in (low, true, high))
         known = f"{item['state']}: its true value is inside the box" not in found["assumed"]
-        for a, x, b in zip(low, wide, high, strict=True):
+        for a, x, b in zip(low, true, high, strict=True):
             if a > b or (known and not a - 1e-12 <= x <= b + 1e-12):
                 return f"the box of {item['state']}"
     return _decrease(data, symbols, at) if data["over"] == "flow" else _steps(data, symbols, at)
