@@ -127,7 +127,7 @@ class Diagram:
     def unit_faults(self) -> list[UnitError]:
         """Inconsistent units in blocks' equations, certificates and conditions; see `dmframe.dimensions`.
 
-        It takes 0.1 to 0.3 s for most graphs, 1 s for sampled inverses; `check` and `verify` call it.
+        It takes 0.1 s for most graphs, 0.5 s for sampled inverses; `check` and `verify` call it.
         """
         from dmframe.dimensions import unit_faults  # a run checks no units
 
