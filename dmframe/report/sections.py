@@ -29,7 +29,7 @@ from dmframe.report.parts import (
     Word,
 )
 from dmframe.report.terms import TermRow, Terms
-from dmframe.report.verdict_text import contribution_of, disturbance_of, size_of
+from dmframe.report.verdict_text import disturbance_of, lowering_of, size_of
 
 _SIDES: Final = {"source": "desired trajectory", "controller": "controller", "plant": "robot and servo"}
 _KINDS: Final = {"rms": "root mean square", "sup": "largest value"}
@@ -261,7 +261,9 @@ def _conditions(r: Content) -> Iterator[Part]:
         items = [(Word(label, "code"), f": {ends}") for label, ends in r.uncertain]
         yield Titled("Uncertain true parameters, with intervals", Bullets(items))
     if r.assumptions:
-        assumed = [(Marked(text), Word(f" ({source})" if source else "", "small")) for text, source in r.assumptions]
+        assumed = [
+            (Marked(text), Word(Marked(f" ({source})") if source else "", "small")) for text, source in r.assumptions
+        ]
         yield Titled("Assumed, not checked", Bullets(assumed))
 
 
@@ -289,8 +291,12 @@ def _error_bounds(r: Content) -> Iterator[Part]:
         ),
         kind="bounds",
     )
-    texts = [*dict.fromkeys(map(contribution_of, r.errors.found)), *r.errors.missing]
-    yield Bullets([(f"{text[0].upper()}{text[1:]}.",) for text in texts])
+    shares = dict.fromkeys(item.dominated_by for item in r.errors.found)
+    contributions = [
+        ("Largest contribution: ", Formula(share.of.latex) if share.of_start else share.of, f"{lowering_of(share)}.")
+        for share in shares
+    ]
+    yield Bullets([*contributions, *((f"{text[0].upper()}{text[1:]}.",) for text in r.errors.missing)])
 
 
 def _run(r: Content) -> Iterator[Part]:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
-from dmframe.certify.error_bound import ErrorBound
+from dmframe.certify.error_bound import ErrorBound, Share
 from dmframe.common.columns import columns
 from dmframe.common.names import unicode_name
 from dmframe.common.text import DV, KAPPA, Text, joined, text_of
@@ -133,9 +133,13 @@ def rounded_up(value: float, digits: int = 3) -> float:
 
 def contribution_of(bound: ErrorBound) -> str:
     """The largest contribution to a bound, and what would lower it."""
-    share = bound.dominated_by
+    return f"largest contribution: {bound.dominated_by.of.unicode}{lowering_of(bound.dominated_by)}"
+
+
+def lowering_of(share: Share) -> str:
+    """What follows the name of a contribution: that it is one of the start, and what would lower it."""
     lowered = f", which {' or '.join(share.lowered_by)} lowers" if share.lowered_by else ""
-    return f"largest contribution: {share.of.unicode}{' at the start' * share.of_start}{lowered}"
+    return f"{' at the start' * share.of_start}{lowered}"
 
 
 def _wrap(text: str) -> str:
