@@ -6,14 +6,11 @@
 //
 // Exit status: 0 re-proved, 1 refuted, 2 refused (no valid certificate, or a rule that this program does not know).
 globalThis.checker = (() => {
-  "use strict";
-
   class Refused extends Error {}
   class Refuted extends Error {}
   class Undecided extends Refused {}
-  const fail = (text) => { throw new Refused(text); };
+  const fail = (text, Fault = Refused) => { throw new Fault(text); }, refute = (text) => fail(text, Refuted);
   const need = (condition, text) => condition || fail(text);
-  const refute = (text) => { throw new Refuted(text); };
 
   const WANTED = -300, SIZES = [149, 269, 521], LARGEST = 1 << 22, BIG = 1n << 20000n;
   const CONSTANT = ["parameter", "weight", "constant", "stepping"], GIVEN = ["trajectory", "period", "noise", "command"];
@@ -23,7 +20,7 @@ globalThis.checker = (() => {
   const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
   const ASSUMED = [
     "names, rates and next values are those of the loop that runs",
-    "divisors and arguments of roots and logarithms stay away from 0",
+    "divisors stay away from 0, and arguments of roots and logarithms are positive",
   ];
 
   // ---- Rational numbers [numerator, denominator > 0], and intervals [lower, upper] of them
@@ -32,7 +29,7 @@ globalThis.checker = (() => {
     if (d < 0n) [n, d] = [-n, -d];
     let [a, b] = [n < 0n ? -n : n, d];
     while (b) [a, b] = [b, a % b];
-    if (d / a > BIG || n / a > BIG || n / a < -BIG) throw new Undecided("too large");
+    if (d / a > BIG || n / a > BIG || n / a < -BIG) fail("size", Undecided);
     return [n / a, d / a];
   }
   const sum = (x, y) => fraction(x[0] * y[1] + y[0] * x[1], x[1] * y[1]);
@@ -47,7 +44,7 @@ globalThis.checker = (() => {
     const ends = a.flatMap((x) => b.map((y) => product(x, y)));
     return [same ? most([zeroQ, least(ends)]) : least(ends), most(ends)];
   };
-  const minusI = (a, b) => plusI(a, timesI([minusOne, minusOne], b));
+  const negI = (a) => timesI([minusOne, minusOne], a), minusI = (a, b) => plusI(a, negI(b));
   const inverseI = (a) => (positive(a[0]) || a[1][0] < 0n ? [fraction(a[1][1], a[1][0]), fraction(a[0][1], a[0][0])] : null);
 
   // All symmetric matrices in these intervals are positive definite if all pivots are.
@@ -81,7 +78,7 @@ globalThis.checker = (() => {
       let k = this.known.get(key);
       if (k === undefined) {
         k = this.op.length;
-        need(k < LARGEST, "too large");
+        need(k < LARGEST, "size");
         this.known.set(key, k);
         this.op.push(op); this.a.push(a); this.b.push(b);
       }
@@ -163,11 +160,11 @@ globalThis.checker = (() => {
       return name === "exp" ? k : divisor ? this.inv(divisor) : NONE;
     }
     dot(x, y) {
-      need(x.length === y.length, "sizes");
+      need(x.length === y.length, "size");
       return x.reduce((total, a, k) => this.add(total, this.mul(a, y[k])), ZERO);
     }
     minus(x, y) {
-      need(x.length === y.length, "sizes");
+      need(x.length === y.length, "size");
       return x.map((a, k) => this.sub(a, y[k]));
     }
     total(x) { return x.reduce((a, b) => this.add(a, b), ZERO); }
@@ -175,7 +172,7 @@ globalThis.checker = (() => {
   }
 
   const spread = (item, size) => {
-    need(item.length === 1 || item.length === size, "sizes");
+    need(item.length === 1 || item.length === size, "size");
     return item.length === size ? item : Array(size).fill(item[0]);
   };
   const matrix = (flat, rows) => Array.from({ length: rows }, (_, i) => flat.filter((_, k) => k % rows === i));
@@ -199,11 +196,11 @@ globalThis.checker = (() => {
   function keys(item, text, names, optional = "") {
     const [must, may] = [names, optional].map((x) => x.split(" "));
     const wrong = [...Object.keys(item).filter((x) => !must.includes(x) && !may.includes(x)), ...must.filter((x) => x && !Object.hasOwn(item, x))];
-    need(!wrong.length, `${text}: missing or unknown: ${wrong}`);
+    need(!wrong.length && ["name", "signal", "says"].every((x) => ["undefined", "string"].includes(typeof item[x])), `${text}: missing or unknown: ${wrong}`);
     return item;
   }
   const whole = (x, from = 0, to = LARGEST) => {
-    need(Number.isSafeInteger(x) && from <= x && x < to, `no number below ${to}: ${x}`);
+    need(Number.isSafeInteger(x) && from <= x && x < to, `no number: ${x}`);
     return x;
   };
   const at = (items, k) => items[whole(k, 0, items.length)];
@@ -211,7 +208,7 @@ globalThis.checker = (() => {
 
   class Certificate {
     constructor(data) {
-      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "no certificate of version 2");
+      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "version: expected 2");
       this.samples = data.over === "sample";
       const lists = { ...LISTS, ...(this.samples ? SAMPLE : FLOW) };
       keys(data, "the file", TOP + Object.keys(lists).join(" "));
@@ -219,8 +216,9 @@ globalThis.checker = (() => {
       for (const name of Object.keys(lists)) this[name] = list(data[name]).map((item) => keys(item, name, ...lists[name]));
       this.graph = new Graph();
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
-      need(this.places.size === this.symbols.length, "a symbol twice");
+      need(this.places.size === this.symbols.length, "symbols");
       this.known = new Map(); // intervals of input nodes
+      this.divided = [];
       this.fixed = this.symbols.filter((item) => item.values).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
       const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
@@ -235,22 +233,22 @@ globalThis.checker = (() => {
       this.terms = this.terms.map((item) => this.readTerm(item));
       this.derivatives = new Map();
       const stored = this.terms.filter((item) => item.role === "stored").flatMap((item) => Object.keys(item.parts).map((x) => item[x]));
-      need(stored.length || this.steps.length, "V has no term");
+      need(stored.length || this.steps.length, "V");
       this.constant(stored.flat(), "V", true);
     }
     readSymbol(item) {
       const { label, kind, size, values, numbers } = item, found = values?.map((x) => [x, x]) ?? numbers;
       need(typeof label === "string" && KINDS.includes(kind) && (whole(size) === 1 || !["time", "weight", "period"].includes(kind)) &&
-        (!found || (kind === "parameter" && list(found).length === size)), `${label}: its kind, size or numbers`);
+        (!found || (kind === "parameter" && list(found).length === size)), `${label}: its numbers`);
       found?.forEach((pair, k) => {
         const ends = pair.map(rational);
-        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its kind, size or numbers`);
+        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its numbers`);
         this.known.set(this.graph.input(this.places.get(label), k), ends);
       });
     }
     readProgram({ operations, constants, code, a, b }) {
       const g = this.graph, numbers = list(constants).map(rational), nodes = [];
-      need([a, b].every((x) => list(x).length === code.length), "sizes");
+      need([a, b].every((x) => list(x).length === code.length), "size");
       list(code).forEach((k, i) => {
         const name = at(operations, k);
         if (name === "const") nodes.push(g.number(at(numbers, a[i])));
@@ -259,6 +257,7 @@ globalThis.checker = (() => {
           const [x, y] = [a, b].map((column) => at(nodes, column[i]));
           need(["add", "sub", "mul", "div"].includes(name) || CALLS.includes(name), `unknown operation ${name}`);
           nodes.push(CALLS.includes(name) ? g.call(name, x, y) : g[name](x, y));
+          if (name === "div") this.divided.push(g.inv(y)); // a divisor must not vanish, even in a part times 0
         }
       });
       return nodes;
@@ -271,7 +270,7 @@ globalThis.checker = (() => {
       need(level && known && (!this.samples || (item.rule === "square" && !item.level && item.role !== "cross")), `${item.name}: its role`);
       return { ...item, ...parts, weightOf: item.level ? this.inputs(item.level)[0] : ONE };
     }
-    symbol(label) { return this.symbols[this.places.get(label) ?? fail(`unknown symbol ${label}`)]; }
+    symbol(label) { return this.symbols[this.places.get(label) ?? fail(label)]; }
     inputs(label) { return Array.from({ length: this.symbol(label).size }, (_, k) => this.graph.input(this.places.get(label), k)); }
     vector(k) { return at(this.vectors, k); }
     term(k, role) {
@@ -279,12 +278,12 @@ globalThis.checker = (() => {
       need(found.role === role && found.rule === "square", `${found.name}: its role`);
       return found;
     }
-    next(label) { return this.moves.get(this.places.get(label)) ?? fail(`${label}: no rate`); }
+    next(label) { return this.moves.get(this.places.get(label)) ?? fail(label); }
     // These depend on constants alone; or, if `moving`, also on what has a rate.
     constant(nodes, text, moving) {
       for (const k of this.graph.reads(nodes)) {
         const { kind, label } = this.symbols[k], moves = this.moves.has(k) || (kind === "time" && !this.samples);
-        need(CONSTANT.includes(kind) || (moving && moves), `${text} depends on ${label}`);
+        need(CONSTANT.includes(kind) || (moving && moves), label);
       }
     }
     // Derivatives; NONE where there is none, or of a symbol without a rate.
@@ -370,7 +369,7 @@ globalThis.checker = (() => {
     const rotors = item.rotors == null ? Array(n).fill(ZERO) : spread(of.vector(item.rotors), n);
     const zero = Array(n).fill(ZERO), still = [zero, zero, zero, zero];
     const [dq, ddq, gravity, torque] = motion ? ["velocity", "acceleration", "gravity", "torque"].map((name) => of.vector(motion[name])) : still;
-    need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "sizes");
+    need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
     const rows = (column) => [0, 1, 2].map((i) => [0, 1, 2, 3].map((j) => (column ? (j === 3 ? g.neg(column[i]) : ZERO) : i === j ? ONE : ZERO)));
@@ -497,7 +496,6 @@ globalThis.checker = (() => {
   function randomPrime(size) {
     for (;;) {
       const n = bits(size) | (1n << BigInt(size - 1)) | 1n;
-      if ([3n, 5n, 7n, 11n].some((x) => n % x === 0n)) continue;
       let odd = n - 1n, twos = 0, k = 0;
       for (; !(odd & 1n); odd >>= 1n) twos++;
       const passes = () => {
@@ -524,10 +522,10 @@ globalThis.checker = (() => {
     inverse(x) {
       let [a, b, s, t] = [x, this.p, 1n, 0n];
       while (b) { const q = a / b; [a, b, s, t] = [b, a - q * b, t, s - q * t]; }
-      if (a !== 1n) throw new Undecided("a divisor vanishes");
-      return s < 0n ? s + this.p : s;
+      if (a !== 1n) fail("a divisor vanishes", Undecided);
+      return (s + this.p) % this.p;
     }
-    residue([n, d]) { const x = n % this.p; return ((x < 0n ? x + this.p : x) * (d === 1n ? 1n : this.inverse(d % this.p))) % this.p; }
+    residue([n, d]) { return ((n % this.p + this.p) * (d === 1n ? d : this.inverse(d % this.p))) % this.p; }
     at(nodes) {
       const v = this.values;
       if (nodes.some((k) => v[k] === undefined)) for (const k of this.g.slice(nodes)) v[k] ??= this.value(k);
@@ -537,8 +535,8 @@ globalThis.checker = (() => {
       const { g, p, values } = this, op = g.op[k], x = values[g.a[k]], y = values[g.b[k]];
       switch (op) {
         case MUL: return (x * y) % p;
-        case ADD: { const s = x + y; return s < p ? s : s - p; }
-        case SUB: { const s = x - y; return s < 0n ? s + p : s; }
+        case ADD: return (x + y) % p;
+        case SUB: return (x - y + p) % p;
         case INV: return this.inverse(x);
         case NUMBER:
           if (!this.given.has(k)) this.given.set(k, this.residue(g.numbers[g.a[k]]));
@@ -581,13 +579,12 @@ globalThis.checker = (() => {
 
   // log2 of the error bound and the number of points; refutes at a point where an equality does not hold.
   function identity(of) {
-    const found = equalities(of), all = [...found, [0, of.vectors.flat()]].flatMap(([, nodes]) => nodes);
+    const found = equalities(of), all = [...found, [0, of.vectors.flat()], [0, of.divided]].flatMap(([, nodes]) => nodes);
     const total = Math.log2(degrees(of.graph, all)), size = SIZES.find((size) => total + 3 - size < -64);
-    need(size, "too large");
+    need(size, "size");
     const error = 3 + total - size;
     let points = 0;
-    for (let tried = 0; points * error > WANTED; tried++) {
-      need(tried < 40, "a divisor vanishes");
+    for (let tried = 0; points * error > WANTED; need(tried++ < 40, "a divisor vanishes")) {
       const point = new Point(of, randomPrime(size), size, new Map());
       try {
         for (const label of of.fixed) for (const k of of.inputs(label)) point.given.set(k, point.residue(of.known.get(k)[0]));
@@ -598,6 +595,9 @@ globalThis.checker = (() => {
         if (!(fault instanceof Undecided)) throw fault;
       }
     }
+    const last = new Point(of, randomPrime(size), size, new Map()); // no divisor vanishes with the file's numbers
+    for (const [k, [low, high]] of of.known) if (String(low) === String(high)) last.given.set(k, last.residue(low));
+    last.at(of.divided);
     return [points * error, points];
   }
 
@@ -625,7 +625,7 @@ globalThis.checker = (() => {
         else if (op === SUB) own = minusI(x, y);
         else if (op === MUL) own = timesI(x, y, a === b);
         else if (op === INV) own = inverseI(x);
-        else if (name === "fabs") own = [most([zeroQ, x[0], product(minusOne, x[1])]), most([x[1], product(minusOne, x[0])])];
+        else if (name === "fabs") own = [most([zeroQ, x[0], negI(x)[0]]), most([x[1], negI(x)[1]])];
         if (!own) return null;
         found.set(k, own);
       }
@@ -633,13 +633,9 @@ globalThis.checker = (() => {
     }
     // 1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided.
     sign(nodes, size = 0) {
-      const values = this.bounds(nodes);
-      if (!values) return -1;
-      if (size > 1 && values.length === size * size) {
-        const rows = matrix(values, size);
-        return String(rows) === String(transposed(rows)) && definite(rows) ? 1 : -1;
-      }
-      return Math.min(1, ...values.map((x) => (positive(x[0]) ? 1 : x[0][0] === 0n ? 0 : -1)));
+      const values = this.bounds(nodes), rows = values && size > 1 && values.length === size * size && matrix(values, size);
+      if (!values || rows) return rows && String(rows) === String(transposed(rows)) && definite(rows) ? 1 : -1;
+      return Math.min(1, ...values.map(([[n]]) => (n > 0n) - (n < 0n)));
     }
     inside(name, lower, true_, upper) {
       const estimate = this.of.inputs(name), [low, high] = [lower, upper].map((k) => this.bounds(spread(this.of.vector(k), estimate.length)));
@@ -648,7 +644,9 @@ globalThis.checker = (() => {
       if (!value) this.assumed.push(`${name}: its true value is inside the box`);
       estimate.forEach((node, k) => {
         if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value`);
-        this.boxes.set(node, [low[k][0], high[k][1]]);
+        const box = [low[k][0], high[k][1]];
+        need(String(this.boxes.get(node) ?? box) === String(box), `${name}: its box`);
+        this.boxes.set(node, box);
       });
     }
     weight(term) {
@@ -666,7 +664,7 @@ globalThis.checker = (() => {
     mass(item) {
       const { of } = this, inertia = of.vector(item.inertia);
       if (item.rotors != null && this.sign(of.vector(item.rotors)) < 0) return -1;
-      if (!this.bounds(inertia)) this.assumed.push("the load of the mass matrix is a rigid body");
+      if (!this.bounds(inertia)) this.assumed.push("the load is a rigid body");
       else for (let k = 0; k < inertia.length; k += 10) if (this.sign(pseudo(of.graph, inertia.slice(k, k + 10)).flat(), 4) < 1) return -1;
       return 1;
     }
@@ -680,12 +678,12 @@ globalThis.checker = (() => {
       }
       for (const item of of.projections) {
         const term = of.term(item.term, "stored"), name = item.state;
-        this.assumed.push(`${name}: it starts inside its box, and the law that runs is this projection`);
+        this.assumed.push(`${name}: it starts in its box, and its law is this projection`);
         need([1, term.vector.length].includes(term.weight.length), `${name}: its metric`);
         this.inside(name, item.lower, item.true, item.upper);
       }
       for (const { parts, box, estimate } of of.steps) {
-        if (this.sign(of.vector(parts.gain)) !== 1 || this.sign(of.vector(parts.floor)) !== 1) refute(`${estimate}: its gain or floor`);
+        if (this.sign(of.vector(parts.gain)) !== 1 || this.sign(of.vector(parts.floor)) !== 1) refute(`${estimate}: its gain`);
         if (box) this.inside(estimate, parts.lower, parts.true, parts.upper);
       }
       for (const item of of.conditions) {
@@ -702,21 +700,21 @@ globalThis.checker = (() => {
       for (const { term, by } of of.cross) {
         const c = of.term(term, "cross"), squares = by.map(([, k]) => of.term(k, "dissipated")), used = new Set(squares), n = c.vector.length, level = squares[0]?.level;
         need(level !== undefined && used.size === by.length && squares.every((item) => item.level === level) && !c.level && c.weight.length === 1, "a cross term");
-        if (!squares.every((item) => strict.has(item))) refute("nothing dominates a cross term");
+        if (!squares.every((item) => strict.has(item))) refute("a cross term");
         const ratios = squares.map((item, j) => {
           const W = spread(item.weight, n);
           return spread(of.vector(by[j][0]), n).map((x, i) => g.div(g.mul(c.weight[0], g.mul(x, x)), W[i]));
         });
-        const bounds = this.bounds(transposed(ratios).map((x) => g.total(x))) ?? refute("nothing dominates a cross term");
+        const bounds = this.bounds(transposed(ratios).map((x) => g.total(x))) ?? refute("a cross term");
         const largest = most(bounds.map((x) => x[1]));
         let group = groups.find((item) => [...used].some((x) => item.used.has(x)));
         if (!group) groups.push((group = { used, sum: zeroQ }));
         need(group.used.size === used.size && [...used].every((x) => group.used.has(x)), "a cross term");
         group.sum = sum(group.sum, largest);
-        if (!level && !less(group.sum, [1n, 1n])) refute("nothing dominates a cross term");
+        if (!level && !less(group.sum, [1n, 1n])) refute("a cross term");
       }
       const declared = of.cross.map((item) => of.term(item.term, "cross"));
-      for (const term of of.terms) if (term.role === "cross" && !declared.includes(term)) refute("nothing dominates a cross term");
+      for (const term of of.terms) if (term.role === "cross" && !declared.includes(term)) refute("a cross term");
       if (!groups.length) return null;
       const [n, d] = most(groups.map((item) => item.sum));
       return d === 1n ? `${n}` : `${n}/${d}`;
@@ -761,7 +759,7 @@ globalThis.checker = (() => {
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
       this.inverse = (x) => first.inverse(x);
       this.squares = [...strict].filter((term) => term.role === "dissipated" && term.rule === "square").map((term) => term.vector);
-      this.wanted = of.conclusions.filter((item) => item.vector != null);
+      this.wanted = of.conclusions.filter((item) => item.vector != null && of.vector(item.vector).length);
       this.close();
       this.sources = this.premises();
       this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => of.vector(x.vector)), ...this.sources.map((x) => x[1])].flat().length;
@@ -817,10 +815,10 @@ globalThis.checker = (() => {
     // dz/dt - A z of a linear equation.
     disturbance(item) {
       const { g, of } = this, z = item.vectors.map((k) => of.vector(k));
-      need(item.rates.length === z.length, "sizes");
+      need(item.rates.length === z.length, "size");
       return z.flatMap((vector, i) => {
         const row = item.rates[i].map((k, j) => spread(of.vector(k), z[j].length));
-        need(row.length === z.length && z.every((x) => x.length === vector.length), "sizes");
+        need(row.length === z.length && z.every((x) => x.length === vector.length), "size");
         return of.rates(vector).map((rate, k) => (rate === NONE ? NONE : row.reduce((x, factor, j) => g.sub(x, g.mul(factor[k], z[j][k])), rate)));
       });
     }
@@ -898,8 +896,10 @@ globalThis.checker = (() => {
       shown = once.filter((item) => again.includes(item));
       left = left.filter((item) => !shown.includes(item));
     }
-    const given = of.samples ? [] : of.symbols.filter((item) => GIVEN.includes(item.kind)).map((item) => item.label);
-    const weights = [...new Set(of.terms.map((item) => item.level))].filter((x) => x).sort();
+    const labels = (kinds) => of.symbols.filter((item) => kinds.includes(item.kind)).map((item) => item.label).join(", ");
+    const given = of.samples ? "" : labels(GIVEN), still = labels(["constant", "stepping"]);
+    const weights = [...new Set(of.terms.map((item) => item.level))].filter((x) => x).sort().join(", ");
+    const stated = [given && `bounded: ${given}`, still && `constant: ${still}`, weights && `above kappa_above, and positive: ${weights}`];
     return {
       status: "re-proved",
       statement: of.samples ? "V(next) - V" : "dV/dt",
@@ -910,7 +910,7 @@ globalThis.checker = (() => {
       "only_at_exact_values_of": of.fixed.sort(),
       conclusions: of.samples ? of.steps.flatMap(fromSteps) : named(shown),
       not_checked: named(left),
-      assumed: [...ASSUMED, ...(given.length ? [`bounded: ${given.join(", ")}`] : []), ...(weights.length ? [`above kappa_above, and positive: ${weights.join(", ")}`] : []), ...new Set(signs.assumed), ...of.assumed],
+      assumed: [...ASSUMED, ...stated.filter((x) => x), ...new Set(signs.assumed), ...of.assumed],
     };
   }
 

@@ -28,7 +28,7 @@ import sys
 from fractions import Fraction
 from math import log2
 
-SIZES, WANTED, LARGEST, LONGEST = (149, 269, 521), -300, 10**6, 10**8
+SIZES, WANTED, LARGEST, LONGEST = (149, 269, 521), -300, 10**6, 2 * 10**7
 CONSTANT = {"parameter", "weight", "constant", "stepping"}
 GIVEN = {"trajectory", "period", "noise", "command"}
 KINDS = CONSTANT | GIVEN | {"time", "state", "projection"}
@@ -38,7 +38,7 @@ UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
 BINARY = set("fmin fmax lt le eq and if_else_zero atan2".split())
 ASSUMED = (
     "names, rates and next values are those of the loop that runs",
-    "divisors and arguments of roots and logarithms stay away from 0",
+    "divisors stay away from 0, and arguments of roots and logarithms are positive",
 )
 
 
@@ -332,8 +332,11 @@ class Certificate:
         need(all(type(data[name]) is list for name in (*lists, "vectors", "assumed")), "the file: expected lists")
         lists = {name: [keys(x, own, name) for x in data[name]] for name, own in lists.items()}
         self.lists = dict.fromkeys((*FLOW, *SAMPLE), ()) | lists
-        self.symbols, self.kinds, self.fixed, self.numbers, self.derivatives = {}, {}, {}, {}, {}
+        self.symbols, self.kinds, self.fixed, self.numbers, self.derivatives, self.divided = {}, {}, {}, {}, {}, []
         self.assumed = list(map(str, data["assumed"]))
+        texts = [x for item in lists["conclusions"] for x in (item["signal"], item["says"])]
+        texts += [item["name"] for item in (*lists["conditions"], *lists["terms"], *lists.get("ranks", ()))]
+        need(all(type(x) is str for x in texts), "a name: expected a text")
         need(sum(abs(item["size"]) for item in lists["symbols"]) < LARGEST, "symbols: too many elements")
         for item in lists["symbols"]:
             self.read_symbol(**item)
@@ -379,6 +382,7 @@ class Certificate:
                 need(name in ARITHMETIC or name in UNARY or name in BINARY, f"unknown operation {name!r:.30}")
                 own = Node(name, x) if name in UNARY else Node(name, x, y)
                 nodes.append(ARITHMETIC[name](x, y) if name in ARITHMETIC else own)
+                self.divided += [Node("inv", y)] * (name == "div")  # a divisor must not vanish, even in a part times 0
         return nodes
 
     def inputs(self, label, kind):
@@ -423,7 +427,7 @@ class Term:
         self.name, self.level, self.role, self.rule, self.assumed, self.phi = name, level, role, rule, assumed, phi
         need(role in RULES and rule in RULES[role], f"{name}: unknown rule {rule} of a {role} term")
         self.parts = {part: of.vector(k) for part, k in keys(parts, RULES[role][rule], name).items()}
-        self.factor = of.inputs(level, "weight")[0] if level else ONE
+        self.factor = ONE if level == "" else of.inputs(level, "weight")[0]
         self.weight, self.vector = self.parts["weight"], self.parts.get("vector", ())
         need(rule != "monotone" or phi in ("tanh", "atan"), f"{name}: unknown function {phi}")
         need(not of.samples or (rule == "square" and not level and role != "cross"), f"{name}: over samples")
@@ -627,7 +631,7 @@ def passes(n, base):
 def identity(of):
     """log2 of the error bound and the number of points; raises `Refuted` at one where an equality does not hold."""
     found = equalities(of)
-    nodes = [node for _, own in found for node in own] + [node for _, own in of.vectors for node in own]
+    nodes = [node for _, own in [*found, *of.vectors] for node in own] + of.divided
     degree = log2(complexity(nodes))
     bits = next((bits for bits in SIZES if degree + 3 - bits < -64), None)
     need(bits is not None, f"the degree of the identity is too high: D + H is 2^{degree:.0f}")
@@ -643,6 +647,8 @@ def identity(of):
         for name, own in found:
             show(any(exact[node] for node in own) == (name == "V"), f"{name} does not hold")
         points += 1
+    field = Field(random_prime(bits))  # no divisor vanishes with the file's numbers
+    evaluate(of.divided, field, {x: field.call(number(i.lower)) for x, i in of.numbers.items() if i.lower == i.upper})
     return points * (degree + 3 - bits), points
 
 
@@ -688,7 +694,7 @@ class Signs:
         inertia = self.of.vector(item["inertia"])
         bodies = [flat(pseudo_inertia(inertia[k : k + 10])) for k in range(0, len(inertia), 10)]
         if self.intervals(inertia) is None:
-            self.assumed.append("the load of the mass matrix is a rigid body")
+            self.assumed.append("the load is a rigid body")
         elif min(self.sign(body, 4) for body in bodies) < 1:
             return -1
         return 1 if item["rotors"] is None or self.sign(self.of.vector(item["rotors"])) >= 0 else -1
@@ -703,7 +709,7 @@ class Signs:
                 self.strict += [term] * (sign == 1)
         for item in of.lists["projections"]:
             name, term = item["state"], of.term(item["term"], "stored")
-            self.assumed.append(f"{name}: it starts inside its box, and the law that runs is this projection")
+            self.assumed.append(f"{name}: it starts in its box, and its law is this projection")
             need(len(term.weight) in (1, len(term.vector)), f"{name}: expected a diagonal metric")
             self.inside(name, item)
         for item in of.lists["steps"]:
@@ -731,7 +737,8 @@ class Signs:
             self.assumed.append(f"{name}: its true value is inside the box")
         for node, a, x, b in zip(estimate, low, true or low, high, strict=True):
             show(a.upper <= x.lower and x.upper <= b.lower, f"{name}: its true value is not inside the box")
-            self.boxes[node] = Interval(a.lower, b.upper)
+            box = self.boxes.setdefault(node, Interval(a.lower, b.upper))
+            need((box.lower, box.upper) == (a.lower, b.upper), f"{name}: two boxes")
 
     def kappa(self):
         """The least kappa with which the dissipation dominates the cross terms; None without any.
@@ -820,7 +827,7 @@ class Conclusions:
         self.places = [(Field(self.p, frozen=True), dict(self.given)) for _ in range(2)]
         self.squares = [x.vector for x in signs.strict if (x.role, x.rule) == ("dissipated", "square")]
         self.points, self.linear, self.open = [], [], units(len(self.columns))
-        self.wanted = [x for x in of.lists["conclusions"] if x["vector"] is not None]
+        self.wanted = [x for x in of.lists["conclusions"] if x["vector"] is not None and of.vector(x["vector"])]
         self.close()
         self.sources = list(self.premises())
         own = [of.vector(x["vector"]) for x in self.wanted if x["says"] == "goes to zero"]
@@ -1021,7 +1028,9 @@ def checked(of):
         shown = [f"{item['signal']} {item['says']}" for item in once if item in again]
         left = [item for item in left if item not in once or item not in again]
     given = [label for label, kind in of.kinds.items() if kind in GIVEN]
+    still = [label for label, kind in of.kinds.items() if kind in ("constant", "stepping")]
     bounds = [f"bounded: {', '.join(given)}"] * bool(given and not of.samples)
+    bounds += [f"constant: {', '.join(still)}"] * bool(still)
     weights = sorted({term.level for term in of.terms if term.level})
     bounds += [f"above kappa_above, and positive: {', '.join(weights)}"] * bool(weights)
     texts = [f"{item['signal']} {item['says']}" for item in left]

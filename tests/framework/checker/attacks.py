@@ -7,129 +7,12 @@ name, the file, and the outcomes that are allowed. ``w`` stands for: re-proved, 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from typing import Any
 
 from tests.framework.checker.certificates import certificate, replaced
+from tests.framework.checker.written import File, circular, concluded, constant, dominated, stable
 
 Attack = tuple[str, dict[str, Any], str]
-FLOW: Final = ("cross", "projections", "masses", "linear", "ranks")
-
-
-class File:
-    """A certificate that is written by hand: symbols of one element, and a program."""
-
-    def __init__(self, over: str = "flow") -> None:
-        self.names = ["const", "input", "add", "sub", "mul", "div", "sin", "tanh"]
-        program: dict[str, list[Any]] = {"operations": self.names, "code": [], "a": [], "b": [], "constants": []}
-        self.data: dict[str, Any] = {"format": "dmframe-certificate", "version": 2, "about": {}, "over": over}
-        lists = ("symbols", "vectors", "terms", "conditions", "conclusions", "assumed")
-        self.data |= {key: [] for key in (*lists, *(FLOW if over == "flow" else ("steps",)))}
-        self.data |= {"program": program, "rates": {}}
-
-    def instruction(self, name: str, a: int, b: int = 0) -> int:
-        for key, value in (("code", self.names.index(name)), ("a", a), ("b", b)):
-            self.data["program"][key].append(value)
-        return len(self.data["program"]["code"]) - 1
-
-    def symbol(self, label: str, kind: str, **more: Any) -> int:
-        self.data["symbols"].append({"label": label, "kind": kind, "size": 1, **more})
-        return self.instruction("input", len(self.data["symbols"]) - 1)
-
-    def number(self, value: str) -> int:
-        self.data["program"]["constants"].append(value)
-        return self.instruction("const", len(self.data["program"]["constants"]) - 1)
-
-    def vector(self, *places: int) -> int:
-        self.data["vectors"].append([len(places), list(places)])
-        return len(self.data["vectors"]) - 1
-
-    def term(self, role: str, vector: int, weight: int, level: str = "") -> None:
-        parts = {"vector": vector, "weight": weight}
-        name = f"{role} {len(self.data['terms'])}"
-        self.data["terms"].append({"name": name, "level": level, "role": role, "rule": "square", "parts": parts})
-
-    def states(self, **rates: str) -> dict[str, int]:
-        """States with a rate that is a sum of multiples of states: ``x="-1 x +2 y"``."""
-        places = {label: self.symbol(label, "state") for label in rates}
-        for label, text in rates.items():
-            words, total = text.split(), self.number("0")
-            for factor, other in zip(words[::2], words[1::2], strict=True):
-                own = self.instruction("mul", self.number(factor.lstrip("+")), places[other])
-                total = self.instruction("add", total, own)
-            self.data["rates"][label] = self.vector(total)
-        return places
-
-
-def concluded(data: dict[str, Any], vector: int, says: str = "goes to zero", signal: str = "w") -> None:
-    """Add a conclusion about a signal."""
-    data["conclusions"].append({"signal": signal, "says": says, "assumes": [], "vector": vector})
-
-
-def constant(data: dict[str, Any], *values: str, rows: int = 0) -> int:
-    """A new vector of numbers."""
-    program, places = data["program"], []
-    for value in values:
-        program["constants"].append(value)
-        program["code"].append(program["operations"].index("const"))
-        program["a"].append(len(program["constants"]) - 1)
-        program["b"].append(0)
-        places.append(len(program["code"]) - 1)
-    data["vectors"].append([rows or len(places), places])
-    return len(data["vectors"]) - 1
-
-
-def stable() -> File:
-    """dx/dt = -x with V = x^2 / 2: a true file."""
-    file = File()
-    x, one = file.vector(file.states(x="-1 x")["x"]), file.vector(file.number("1"))
-    file.term("stored", x, one)
-    file.term("dissipated", x, one)
-    concluded(file.data, x, signal="x")
-    return file
-
-
-def dominated(*, weight: tuple[str, ...] = ("3/5",), role: str = "cross") -> File:
-    """dx/dt = -x + c (x + y), dy/dt = -y + c (x + y) is unstable for c = 3/5; c |x + y|^2 is a cross term."""
-    file = File()
-    c = weight[0]
-    total = {"3/5": "2/5", "1/5": "4/5"}[c]
-    places = file.states(x=f"-{total} x +{c} y", y=f"-{total} y +{c} x")
-    x, y, one = file.vector(places["x"]), file.vector(places["y"]), file.vector(file.number("1"))
-    both = file.vector(file.instruction("add", places["x"], places["y"]))
-    for role_ in ("stored", "dissipated"):
-        file.term(role_, x, one)
-        file.term(role_, y, one)
-    file.term(role, both, file.vector(*map(file.number, weight)))
-    file.data["cross"] = [{"term": 4, "by": [[one, 2], [one, 3]]}]
-    concluded(file.data, x)
-    return file
-
-
-def circular(*, nominal: str) -> dict[str, Any]:
-    """A true identity with two estimates a and b; the rate of a is that of the symbol `nominal`, plus its correction.
-
-    V = (a^2 + b^2 + x^2) / 2, da/dt = nominal + c_a, db/dt = c_a + c_b, dx/dt = -x - (a nominal + b c_a) / x.
-    """
-    file = File()
-    a, b, x = (file.symbol(label, "state") for label in "abx")
-    ca, cb = (file.symbol(f"{label}, correction", "projection") for label in "ab")
-    one = {"a": a, "b, correction": cb}[nominal]
-    zero, low, high = (file.vector(file.number(text)) for text in ("0", "-9", "9"))
-    unit = file.vector(file.number("1"))
-    product = file.instruction
-    moved = product("add", product("mul", a, one), product("mul", b, ca))
-    slow = product("sub", product("sub", file.number("0"), x), product("div", moved, x))
-    rates = {"a": product("add", one, ca), "b": product("add", ca, cb), "x": slow}
-    file.data["rates"] = {label: file.vector(place) for label, place in rates.items()}
-    for place in (a, b, x):
-        file.term("stored", file.vector(place), unit)
-    file.term("dissipated", file.data["terms"][2]["parts"]["vector"], unit)
-    own = {"set": "box", "true": zero, "lower": low, "upper": high}
-    for k, label in enumerate("ab"):
-        item = {"term": k, "state": label, "correction": f"{label}, correction", **own}
-        file.data["projections"].append(item)
-    concluded(file.data, file.data["rates"]["a"], "is bounded")
-    return file.data
 
 
 def _of(name: str, change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
@@ -282,6 +165,47 @@ def more() -> Iterator[Attack]:
         {"name": "zero", "margin": file.vector(file.instruction("div", x, zero)), "strict": True}
     )
     yield "a divisor that is identically zero", file.data, "refused"
+
+    for name in ("mul", "sub"):
+        file = stable()
+        x = file.data["vectors"][file.data["rates"]["x"]][1][0]
+        pole = file.instruction("div", x, file.instruction("sub", x, x))
+        nothing = file.instruction(name, file.number("0") if name == "mul" else pole, pole)
+        file.data["rates"]["x"] = file.vector(file.instruction("add", x, nothing))
+        yield f"a pole that {name} removes", file.data, "refused"
+
+    file = stable()
+    K = file.symbol("K", "parameter", numbers=[["60", "60"]])
+    x = file.data["vectors"][file.data["rates"]["x"]][1][0]
+    pole = file.instruction("div", x, file.instruction("sub", K, file.number("60")))
+    file.data["rates"]["y"] = file.vector(pole)
+    file.symbol("y", "state")
+    yield "a rate with a pole at the file's numbers", file.data, "refused"
+
+    for value in (None, True, 1, ["is bounded"]):
+        data = stable().data
+        data["conclusions"][0]["says"] = value
+        yield f"a conclusion that says {value!r}", data, "refused"
+
+    file = File()
+    a, correction = file.symbol("a", "state"), file.symbol("a, correction", "projection")
+    file.data["rates"]["a"] = file.vector(correction)
+    own = {"state": "a", "correction": "a, correction", "set": "box", "true": file.vector(file.number("0"))}
+    for k, low in enumerate(("-3", "-9")):
+        file.term("stored", file.vector(a), file.vector(file.number("1")))
+        ends = {"lower": file.vector(file.number(low)), "upper": file.vector(file.number("9"))}
+        file.data["projections"].append({**own, **ends, "term": k})
+    yield "two boxes of one estimate", file.data, "refused"
+
+    file = stable()
+    concluded(file.data, file.vector())
+    yield "a conclusion about an empty vector", file.data, "w"
+
+    for level in (None, 0, []):
+        data = stable().data
+        for term in data["terms"]:
+            term["level"] = level
+        yield f"the level {level!r}", data, "refused"
 
     file = stable()
     free = file.symbol("free", "parameter")

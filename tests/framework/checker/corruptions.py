@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from fractions import Fraction
 from functools import cache
+from itertools import starmap
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,13 +47,15 @@ FUNCTIONS: Final[dict[str, Any]] = {
     "cos": lambda a, b: math.cos(a),
     "tanh": lambda a, b: math.tanh(a),
     "atan": lambda a, b: math.atan(a),
-    "sqrt": lambda a, b: math.sqrt(a),
+    "sqrt": lambda a, b: math.sqrt(abs(a)),  # arguments are assumed to be positive
     "fabs": lambda a, b: abs(a),
     "fmin": lambda a, b: min(a, b),
     "fmax": lambda a, b: max(a, b),
     "lt": lambda a, b: float(a < b),
     "floor": lambda a, b: math.floor(a),
 }
+
+TRUE: Final = "another true statement"
 
 Path_ = tuple[Any, ...]
 
@@ -231,9 +234,10 @@ def _fault(data: dict[str, Any], found: dict[str, Any], symbols: dict[str, list[
             return f"condition {item['name']}"
     for item in data.get("projections", []):
         low, true, high = (at.vectors[item[key]] for key in ("lower", "true", "upper"))
-        wide = true * len(low) if len(true) == 1 else true
+        size = len(symbols[item["state"]])
+        low, true, high = (x * size if len(x) == 1 else x for x in (low, true, high))
         known = f"{item['state']}: its true value is inside the box" not in found["assumed"]
-        for a, x, b in zip(low, wide, high, strict=True):
+        for a, x, b in zip(low, true, high, strict=True):
             if a > b or (known and not a - 1e-12 <= x <= b + 1e-12):
                 return f"the box of {item['state']}"
     return _decrease(data, symbols, at) if data["over"] == "flow" else _steps(data, symbols, at)
@@ -303,14 +307,24 @@ def accepted(name: str) -> dict[str, Any]:
     return result(certificate(name))
 
 
-def judged(task: tuple[str, int]) -> tuple[str, str]:
-    """Outcome of a changed file, and what was changed."""
-    name, seed = task
+def judged(tasks: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
+    """Outcomes of changed files, by name and seed, and what was changed."""
+    found = list(starmap(_judged, tasks))
+    others = [(k, data, own) for k, (outcome, _, data, own) in enumerate(found) if outcome == TRUE]
+    outcomes = [(outcome, where) for outcome, where, *_ in found]
+    for (k, _, own), other in zip(others, in_node([data for _, data, _ in others]), strict=True):
+        if any(other.get(key) != own[key] for key in SAME):
+            outcomes[k] = ("FALSE", f"{outcomes[k][1]}: the other checker: {other}")
+    return outcomes
+
+
+def _judged(name: str, seed: int) -> tuple[str, str, dict[str, Any], dict[str, Any]]:
+    """Outcome of a changed file without the other checker, what was changed, the file and its result."""
     data, path, before, after = corrupted(name, seed)
     where, original = f"{name}, seed {seed}: {path}: {before!r} -> {after!r}", certificate(name)
     found = result(data)
     if found["status"] != "re-proved":
-        return found["status"], where
+        return found["status"], where, data, found
     if (
         path[0] in ("about", "assumed")
         or path[-1] in ("name", "signal", "assumes", "assumed", "says")
@@ -319,19 +333,16 @@ def judged(task: tuple[str, int]) -> tuple[str, str]:
         shown = {**found, "log2_error": 0, "points": 0} != {**accepted(name), "log2_error": 0, "points": 0}
         if path[-1] != "says":
             hidden = not shown and (path[0] == "assumed" or path[-1] == "assumed")
-            return ("FALSE" if hidden else "a text, which the result shows" if shown else "a text"), where
+            return ("FALSE" if hidden else "a text, which the result shows" if shown else "a text"), where, data, found
     try:
         if same(data, original, Fraction(found["kappa_above"] or 0)):
-            return "an equal function", where
+            return "an equal function", where, data, found
         fault = holds(data, found)
     except (LookupError, TypeError) as error:
         fault = f"not judged: {type(error).__name__}: {error}"
     if fault:
-        return "FALSE", f"{where}: {fault}"
-    other = in_node([data])[0]
-    if any(other.get(key) != found[key] for key in SAME):
-        return "FALSE", f"{where}: the other checker: {other}"
-    return "another true statement", where
+        return "FALSE", f"{where}: {fault}", data, found
+    return TRUE, where, data, found
 
 
 def main(count: int, processes: int = 2, names: Sequence[str] = NAMES) -> int:
@@ -339,14 +350,17 @@ def main(count: int, processes: int = 2, names: Sequence[str] = NAMES) -> int:
     large = count // 25  # of each of the last two, which take five times as long
     tasks = [(name, seed) for name in names[-2:] for seed in range(large)]
     tasks += [(names[k % (len(names) - 2)], k // (len(names) - 2)) for k in range(count - len(tasks))]
+    random.Random(0).shuffle(tasks)
     counts = Counter[str]()
+    chunks = [tasks[k : k + 25] for k in range(0, count, 25)]
     with ProcessPoolExecutor(processes) as pool:
-        for outcome, where in pool.map(judged, tasks, chunksize=50):
-            counts[outcome] += 1
-            if outcome == "FALSE":
-                sys.stdout.write(f"FALSE: {where}\n")
-    for outcome, number in counts.most_common():
-        sys.stdout.write(f"{number:6d}  {outcome}\n")
+        for k, found in enumerate(pool.map(judged, chunks)):
+            counts.update(outcome for outcome, _ in found)
+            sys.stdout.writelines(f"FALSE: {where}\n" for outcome, where in found if outcome == "FALSE")
+            if k % 20 == 19:
+                sys.stdout.write(f"{counts.total()}: {dict(counts.most_common())}\n")
+                sys.stdout.flush()
+    sys.stdout.writelines(f"{number:6d}  {outcome}\n" for outcome, number in counts.most_common())
     return int(counts["FALSE"] > 0)
 
 

@@ -17,7 +17,7 @@ import pytest
 import dmframe as dm
 from dmframe.catalogue import graphs
 from dmframe.certify.published import certificate_schema, certificate_text
-from tests.framework.checker.attacks import circular, dominated, holes, more, stable
+from tests.framework.checker.attacks import holes, more
 from tests.framework.checker.certificates import (
     CHECKER,
     MISSING,
@@ -28,6 +28,7 @@ from tests.framework.checker.certificates import (
     result,
     text_of,
 )
+from tests.framework.checker.written import circular, dominated, stable
 
 
 @pytest.mark.parametrize("name", sorted(graphs()))

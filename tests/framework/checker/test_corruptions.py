@@ -13,7 +13,7 @@ from tests.framework.checker.corruptions import NAMES, holds, judged
 @pytest.mark.parametrize(("names", "count"), [(NAMES[:3], 16), (NAMES, 60)], ids=["small", "all"])
 def test_no_changed_file_proves_something_false(names: tuple[str, ...], count: int) -> None:
     node_path()
-    found = [judged((name, seed)) for name in names for seed in range(count)]
+    found = judged([(name, seed) for name in names for seed in range(count)])
     counts = Counter(outcome for outcome, _ in found)
     assert not counts["FALSE"], [where for outcome, where in found if outcome == "FALSE"]
     assert min(counts["refuted"], counts["refused"], counts["another true statement"]) > 0
