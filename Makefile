@@ -37,7 +37,7 @@ thorough: setup
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m thorough
 
 # Every fault that can be seeded into a block, a certificate or a shared function, each in the cheapest closed loop in
-# which it changes something: about half an hour. MUTANTS=--everywhere puts it into all loops; MUTANTS="--results FILE"
+# which it changes something: an hour of computing. MUTANTS=--everywhere puts it into all loops; MUTANTS="--results FILE"
 # keeps the results, with which a run that was stopped goes on.
 mutants: setup
 	$(BIN)/python tests/framework/certify/mutants.py $(MUTANTS)
