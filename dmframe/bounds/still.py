@@ -56,7 +56,7 @@ def still_of(claim: Claim, symbols: Symbols, term: Square) -> Still | None:
     held = next((item for item in claim.loop.projections if item.name == estimate.label), None)
     if not rows or not (held is None or isinstance(held.set, Box)):
         return None
-    rate = claim.loop.joined([estimate.own_rate if held is None else held.nominal])[0]
+    (rate,) = claim.loop.joined(claim.loop.rates_of([estimate]) if held is None else [held.nominal])
     n = ca.SX.sym("n", len(rows), size)
     moved = n @ (ca.vec(rate) * term.weight * ca.SX.ones(rate.numel()))[:size]
     exact = exact_values(claim.diagram)
