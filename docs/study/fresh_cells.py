@@ -118,15 +118,18 @@ def runs_of(race: Race, cell: Cell, chosen: Mapping[tuple[str, float], Any]) -> 
 
 
 def report(entrant: str, runs: Mapping[Cell, Sequence[Run]], errors: Mapping[Run, float]) -> None:
-    """A line for each cell, and the proportions over all cells and seeds."""
+    """A line for each cell, and the proportions over all seeds and those cells in which some rival does not diverge."""
     ratios, silent = list[float](), list[float]()
     for cell, each in runs.items():
         own = [errors[run] for run in each if run.law == entrant]
         rivals = {run.law: errors[run] for run in each if run.law not in (entrant, "silent")}
         best = min(rivals, key=lambda law: rivals[law])
+        figures = " ".join(f"{error:.4f}" for error in own)
+        if not math.isfinite(rivals[best]):
+            say(f"{cell.name}: {figures} mm; every rival diverges, so that it is left out")
+            continue
         ratios += [error / rivals[best] for error in own]
         silent += [error / errors[run] for run in each if run.law == "silent" for error in own]
-        figures = " ".join(f"{error:.4f}" for error in own)
         say(f"{cell.name}: {figures} mm; {best} {rivals[best]:.4f}; ratio {max(own) / rivals[best]:.2f} at most")
     found, trip = np.array(ratios), np.array(silent)
     say(f"{len(found)} runs: {np.mean(found <= 1.05):.0%} at most 1.05, median {np.median(found):.2f}")
