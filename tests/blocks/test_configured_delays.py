@@ -89,7 +89,7 @@ def test_a_command_that_is_none_of_the_blocks_own_is_left_to_an_assumption(monke
     found = verdict()
     assert found.outcome == "proved"
     assert not any("delays commands by" in item.name for item in found.conditions)
-    assert any("a delay is as configured, or echoed" in item.text for item in found.assumptions)
+    assert any("a delay is as configured, or reported by the robot" in item.text for item in found.assumptions)
 
 
 class Changed(AbstractBlock):

@@ -177,7 +177,7 @@ def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_with_a_resid
     # if V can increase, a box or a ball would bound the estimates; a cone is unbounded
     assert "adaptation.a_d_hat" in found.verdict.states.open
     reported = {(item.signal, item.says) for item in found.verdict.statements}
-    assert ("a_d_hat", "is made of bodies, each at its share of the nominal one or above") in reported
+    assert ("a_d_hat", "consists of bodies, each not less than its fraction of the nominal one") in reported
     assert ("a_d_hat - a_d", "is bounded") not in reported
 
 

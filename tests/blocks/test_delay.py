@@ -130,7 +130,7 @@ def test_joints_that_do_not_make_the_velocities_commanded_have_no_delay() -> Non
 
 def test_a_thinned_record_is_refused() -> None:
     graph = dm.load("ur10_slow_probe").set({"inverse.lasting": 6})
-    with pytest.raises(ValueFault, match="every sample, 90 ms apart, found one of every 180 ms"):
+    with pytest.raises(ValueFault, match="every sample, 90 ms spacing, found one of every 180 ms"):
         recorded_delay(graph.set({"log.every": "180 ms"}).run(6, engine="interpreted").recording)
     with pytest.raises(ValueFault, match=r"a record with arm\.q"):
         recorded_delay(graph.set({"log.signals": ["arm.x"]}).run(3, engine="interpreted").recording)

@@ -56,7 +56,7 @@ def test_it_is_proved_and_stated_to_stay_bodies() -> None:
     assert verdict.outcome == "proved", verdict.reason
     assert all(control.refuted for control in verdict.controls)
     reported = {(item.signal, item.says) for item in verdict.statements}
-    assert ("a_d_hat", "is made of bodies, each at its share of the nominal one or above") in reported
+    assert ("a_d_hat", "consists of bodies, each not less than its fraction of the nominal one") in reported
 
 
 @pytest.mark.parametrize(
