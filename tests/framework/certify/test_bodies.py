@@ -125,7 +125,7 @@ HELD: dict[str, Callable[..., Any]] = {
     "goes to the nominal body": lambda b, s: _rest(b.nominal, s) + 0 * s,
     "clips at zero": lambda b, s: Bodies.held(_with(b, share=ca.SX(0)), s),
     "clips in the metric of the coordinates": lambda b, s: (
-        s + _rest(_with(b, nominal=_unit())._whole([_Unit.row(positive_part(-_link(b).at(s[:10])))], s[:10]), s)
+        s + _rest(_with(b, nominal=_unit())._all_estimates([_Unit.row(positive_part(-_link(b).at(s[:10])))], s[:10]), s)
     ),
     "shrinks": lambda b, s: 0.999 * Bodies.held(b, s),
     "reflects": lambda b, s: 2 * Bodies.held(b, s) - s,
