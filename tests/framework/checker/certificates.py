@@ -24,6 +24,7 @@ CHECKER = Path(dm.__file__).parent / "checker" / "check.py"
 MISSING: Final = {
     "observed_tracking_forgetting_pi": "unknown rule gathered",
     "torque_consistent_pi": "unknown rule log_det",
+    "joint_tracking_bounded": "expected constant bodies",
     "ur10_consistent": "unknown rule log_det",
     "ur10_fast_best": "unknown rule least_squares",
     "ur10_slow_best": "unknown rule least_squares",
