@@ -110,6 +110,8 @@ def error_bounds(
         return ErrorBounds(missing=(fault.text,))
     except (ValueFault, UndecidedError) as fault:
         return ErrorBounds(missing=(f"the bound is not enclosed over the intervals: {fault.text}",))
+    except OverflowError:
+        return ErrorBounds(missing=("the bound is larger than any floating-point number",))
 
 
 def _bounded(verdict: Verdict) -> Claim:

@@ -68,6 +68,12 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
     for barrier in certificate.barriers:
         if not _columns([ca.SX(piece) for piece in barrier.pieces]):
             yield "expected what a barrier is made of to be columns of one length or scalars, found other shapes"
+    if certificate.disturbed:
+        squares = certificate.dissipation[: len(certificate.disturbed)]
+        diagonal = all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in squares)
+        if len(squares) < len(certificate.disturbed) or not diagonal:
+            yield "expected disturbed to have a factor for each of the first dissipated squares, with diagonal weights"
+        yield from _wrong_factors(certificate, certificate.disturbed)
     if certificate.dominates:
         if consumed is not None:
             yield "a cascade has consumes and cannot have dominates; expected one of both"
@@ -75,7 +81,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         if len(certificate.dominates) > len(terms):
             factors = len(certificate.dominates)
             yield f"dominates has {factors} factors, expected one for each of {len(terms)} dissipated squares"
-        yield from _wrong_domination(certificate)
+        yield from _wrong_factors(certificate, certificate.dominates)
         if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in dominating):
             yield "a certificate with dominates must dissipate squares with diagonal weights only"
         if any(isinstance(term, Square) and term.positive for term in dominating):
@@ -88,14 +94,15 @@ def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
         yield role, list(pieces_of(getattr(certificate, role)))
     yield "consumes", list(pieces_of(certificate.consumes))
     yield "supply and dominates", [certificate.supply, *certificate.dominates]
+    yield "disturbed", certificate.disturbed
     yield "truth", list(certificate.truth.values())
 
 
-def _wrong_domination(certificate: Certificate) -> Iterator[str]:
-    """Dominating squares must have the length of the composed vector, so that no element is counted twice."""
-    vectors = [ca.SX(term.pieces[0]) for term in certificate.dissipation[: len(certificate.dominates)]]
+def _wrong_factors(certificate: Certificate, stated: Sequence[SX]) -> Iterator[str]:
+    """The squares must have the length of the composed vector, so that no element is counted twice."""
+    vectors = [ca.SX(term.pieces[0]) for term in certificate.dissipation[: len(stated)]]
     lengths = {vector.numel() for vector in vectors}
-    factors = {ca.SX(factor).numel() for factor in certificate.dominates}
+    factors = {ca.SX(factor).numel() for factor in stated}
     if len(lengths) > 1 or not factors <= lengths | {1}:
         found = ", ".join(map(str, sorted(lengths | factors)))
         yield f"expected the dominating squares and their factors to be of one length, found {found}"

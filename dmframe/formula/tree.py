@@ -300,7 +300,7 @@ def multiply(left: Node, right: Node, shape: Shape) -> Node:
             one, other = other, one  # a factor of a matrix-vector product precedes the matrix
         elif _mixes(one):
             one = _bracketed(one)
-        if _mixes(other) and not _plain(other.below):
+        if _mixes(other) and _others(other.below):
             other = _bracketed(other)
     return _chain(one, other, shape)
 
@@ -309,7 +309,7 @@ def matrix_multiply(left: Node, right: Node, shape: Shape) -> Node:
     """A matrix times a matrix or a column."""
     one, other = product_of(left), product_of(right)
     # an elementwise divisor applies to its own factor only
-    one, other = (side if _plain(side.below) else _bracketed(side) for side in (one, other))
+    one, other = (_bracketed(side) if _others(side.below) else side for side in (one, other))
     return _chain(one, other, shape)
 
 
@@ -382,10 +382,6 @@ def _chain(one: Product, other: Product, shape: Shape) -> Node:
 
 def _made_of_vectors(product: Product) -> bool:
     return is_scalar(product) and not all(map(is_scalar, product.factors))
-
-
-def _plain(below: tuple[Node, ...]) -> bool:
-    return all(map(is_scalar, below))
 
 
 def _mixes(product: Product) -> bool:

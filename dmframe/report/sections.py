@@ -286,8 +286,9 @@ def _error_bounds(r: Content) -> Iterator[Part]:
         rows,
         ("error", (), "bound"),
         Marked(
-            f"Bounds over a run of {plain(first.over_s, 's')} from the graph's start, in {first.holds}, for all "
-            f"parameters in the intervals; {disturbance_of(first)}. The errors of a run are smaller."
+            f"Upper limits over a run of {plain(first.over_s, 's')} from the graph's start, in {first.holds}"
+            f"{', for all parameters in the intervals' if r.uncertain else ''}; {disturbance_of(first)}. "
+            "A clock, a delay or an encoder is not in them."
         ),
         kind="bounds",
     )

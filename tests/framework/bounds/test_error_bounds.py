@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -258,6 +259,15 @@ def test_a_block_that_misstates_how_a_torque_acts_gets_no_bound(shares: Any, mon
     errors = bounds(dm.load(PI))
     assert not errors.found
     assert "a joint torque does not act on V as its certificate states" in errors.missing[0]
+
+
+@pytest.mark.parametrize("shares", [(1, 1, 1), (ca.SX.ones(2),), (ca.SX.ones(3, 3),)], ids=["many", "short", "matrix"])
+def test_factors_of_another_form_are_refused_in_words(shares: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = PiInverse.certificate
+    monkeypatch.setattr(PiInverse, "certificate", lambda *given: replace(honest(*given), disturbed=shares))
+    verdict = dm.load(PI).verdict()
+    assert verdict.outcome == "not_applicable"
+    assert "expected" in verdict.reason
 
 
 def test_a_term_left_out_of_the_start_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
