@@ -20,6 +20,7 @@ from dmframe.block.port import TIME, Access, Side, State
 from dmframe.block.sizes import Sizes
 from dmframe.common.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.diagram.bodies import TEN, Bodies
+from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
@@ -40,13 +41,14 @@ class Resolver:
         self.projections = dict[End, Projection]()
         self.faults = list[DmframeError]()
         self._outputs, self._rates = dict[End, SX](), dict[End, SX]()
+        self._equations = dict[str, tuple[dict[tuple[str, ...], SX], set[str]]]()
         self._held = set[End]()
         self._open = list[str]()
 
     def with_outputs(self, outputs: Mapping[End, SX]) -> Resolver:
         """The same diagram with these outputs replaced by other expressions, wherever another block reads them."""
         other = copy(self)
-        other._outputs, other._rates, other.faults = dict(outputs), {}, []
+        other._outputs, other._rates, other._equations, other.faults = dict(outputs), {}, {}, []
         other.sampled_signals, other.projections = dict(self.sampled_signals), dict(self.projections)
         return other
 
@@ -56,7 +58,7 @@ class Resolver:
         if end not in self._outputs:
             expression = self.models[block].equations.outputs[port]
             with self._entered(f"{block}.{port}") as free:
-                self._outputs[end] = self.expand(block, expression) if free else _unknown(end, expression)
+                self._outputs[end] = self._own(block, "outputs", port) if free else _unknown(end, expression)
         return self._outputs[end]
 
     def rate(self, block: str, state: str) -> SX:
@@ -71,19 +73,17 @@ class Resolver:
                 return rest
             stated = model.equations.rates[state]
             with self._entered(f"d{block}.{state}/dt") as free:
-                rate = self.expand(block, stated) if free else _unknown(end, stated)
+                rate = self._own(block, "rates", state) if free else _unknown(end, stated)
             self._rates[end] = self._projected(model, state, rate)
         return self._rates[end]
 
     def next(self, block: str, state: str) -> SX | None:
         """The value of a sampled state one sample later, before projection; None for a continuous state."""
-        stated = self.models[block].equations.next.get(state)
-        return None if stated is None else self.expand(block, stated)
+        return self._own(block, "next", state) if state in self.models[block].equations.next else None
 
     def second(self, block: str, state: str) -> SX | None:
         """Second-order term of a state's step on a clock, divided by T^2; None for most states."""
-        stated = self.models[block].equations.second.get(state)
-        return None if stated is None else self.expand(block, stated)
+        return self._own(block, "second", state) if state in self.models[block].equations.second else None
 
     def input(self, block: str, port: str) -> SX:
         """An input, in the leaves of the block's side."""
@@ -131,13 +131,30 @@ class Resolver:
 
     def expand(self, block: str, expression: SX) -> SX:
         """An expression in a block's own symbols, with its inputs replaced by the signals that drive them."""
+        needed = self.models[block].needs(expression)
+        return self._replaced(block, [expression], {name: self.input(block, name) for name in needed})[0]
+
+    def _own(self, block: str, *key: str) -> SX:
+        """One of a block's equations, with its inputs replaced.
+
+        Each input is replaced once, in all equations, so that their common subexpressions stay common.
+        """
         model = self.models[block]
-        needed = model.needs(expression)
-        if not needed:
-            return expression
-        own = [ca.vec(model.inputs[name]) for name in needed]
-        driven = [ca.vec(ca.densify(self.input(block, name))) for name in needed]
-        return ca.substitute([expression], [ca.vertcat(*own)], [ca.vertcat(*driven)])[0]
+        stated = model.equations.named
+        known, driven = self._equations.setdefault(block, (dict(stated), set[str]()))
+        signals = {name: self.input(block, name) for name in model.needs(stated[key]) if name not in driven}
+        signals = {name: signal for name, signal in signals.items() if name not in driven}  # by one of these calls
+        driven.update(signals)
+        reading = [other for other in known if not signals.keys().isdisjoint(model.needs(stated[other]))]
+        known.update(zip(reading, self._replaced(block, [known[other] for other in reading], signals), strict=True))
+        return known[key]
+
+    def _replaced(self, block: str, expressions: Sequence[SX], signals: Mapping[str, SX]) -> Sequence[SX]:
+        """Expressions in a block's own symbols, with some of its inputs replaced."""
+        if not signals:
+            return expressions
+        own = stack(self.models[block].inputs[name] for name in signals)
+        return ca.substitute(expressions, [own], [stack(signals.values())])
 
     def derivative(self, expression: SX, wanted_by: str) -> SX:
         """Total time derivative along the equations of the expression's own side; `wanted_by` is its reader."""
