@@ -92,7 +92,7 @@ def verify(
 
 def _size(diagram: Diagram) -> int:
     """Operations of all blocks' equations."""
-    return sum(ca.n_nodes(x) for model in diagram.models.values() for x in model.equations.expressions)
+    return sum(model.size for model in diagram.models.values())
 
 
 def _tried_units(diagram: Diagram) -> str | None:

@@ -154,7 +154,7 @@ class Resolver:
         if not signals:
             return expressions
         own = stack(self.models[block].inputs[name] for name in signals)
-        return ca.substitute(expressions, [own], [stack(signals.values())])
+        return list(ca.substitute(expressions, [own], [stack(signals.values())]))
 
     def derivative(self, expression: SX, wanted_by: str) -> SX:
         """Total time derivative along the equations of the expression's own side; `wanted_by` is its reader."""
