@@ -9,8 +9,6 @@ from functools import cache, partial
 from hashlib import sha256
 from typing import Any, Final, final
 
-import casadi as ca
-
 from dmframe.block.certificate import Assumption
 from dmframe.certify.assemble import assembled
 from dmframe.certify.barriers import barrier_statements, tubes

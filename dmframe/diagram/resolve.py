@@ -21,10 +21,13 @@ from dmframe.block.sizes import Sizes
 from dmframe.common.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.diagram.bodies import TEN, Bodies
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.pieces import Leaf
+from dmframe.diagram.pieces import Leaf, loop_fault
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
 from dmframe.exact import zero_test
+
+_Key = tuple[str, ...]
+"""A field of a block's `Equations`, and the name of an output or state."""
 
 
 @final
@@ -41,7 +44,7 @@ class Resolver:
         self.projections = dict[End, Projection]()
         self.faults = list[DmframeError]()
         self._outputs, self._rates = dict[End, SX](), dict[End, SX]()
-        self._equations = dict[str, tuple[dict[tuple[str, ...], SX], set[str]]]()
+        self._equations = dict[str, tuple[dict[_Key, SX], dict[_Key, tuple[str, ...]]]]()
         self._held = set[End]()
         self._open = list[str]()
 
@@ -56,9 +59,7 @@ class Resolver:
         """An output in the leaves of its own side."""
         end = (block, port)
         if end not in self._outputs:
-            expression = self.models[block].equations.outputs[port]
-            with self._entered(f"{block}.{port}") as free:
-                self._outputs[end] = self._own(block, "outputs", port) if free else _unknown(end, expression)
+            self._outputs[end] = self._opened(f"{block}.{port}", block, "outputs", port)
         return self._outputs[end]
 
     def rate(self, block: str, state: str) -> SX:
@@ -71,9 +72,7 @@ class Resolver:
                 self._projected(model, state, rest)
                 self._rates[end] = rest
                 return rest
-            stated = model.equations.rates[state]
-            with self._entered(f"d{block}.{state}/dt") as free:
-                rate = self._own(block, "rates", state) if free else _unknown(end, stated)
+            rate = self._opened(f"d{block}.{state}/dt", block, "rates", state)
             self._rates[end] = self._projected(model, state, rate)
         return self._rates[end]
 
@@ -102,7 +101,7 @@ class Resolver:
             case Derived():
                 with self._entered(f"{block}.{port}") as free:
                     held = self.input(block, source.of)
-                    return self.derivative(held, f"{block}.{port}") if free else _unknown((block, port), held)
+                    return self.derivative(held, f"{block}.{port}") if free else symbol(f"{block}.{port}", held.shape)
             case _:
                 return ca.SX.zeros(*model.inputs[port].shape)
 
@@ -134,19 +133,26 @@ class Resolver:
         needed = self.models[block].needs(expression)
         return self._replaced(block, [expression], {name: self.input(block, name) for name in needed})[0]
 
+    def _opened(self, node: str, block: str, *key: str) -> SX:
+        """One of a block's equations; a new symbol if the node is already being resolved."""
+        with self._entered(node) as free:
+            return self._own(block, *key) if free else symbol(node, self.models[block].equations.named[key].shape)
+
     def _own(self, block: str, *key: str) -> SX:
         """One of a block's equations, with its inputs replaced.
 
         Each input is replaced once, in all equations, so that their common subexpressions stay common.
         """
-        model = self.models[block]
-        stated = model.equations.named
-        known, driven = self._equations.setdefault(block, (dict(stated), set[str]()))
-        signals = {name: self.input(block, name) for name in model.needs(stated[key]) if name not in driven}
-        signals = {name: signal for name, signal in signals.items() if name not in driven}  # by one of these calls
-        driven.update(signals)
-        reading = [other for other in known if not signals.keys().isdisjoint(model.needs(stated[other]))]
+        if block not in self._equations:
+            model = self.models[block]
+            stated = model.equations.named
+            self._equations[block] = dict(stated), {other: model.needs(x) for other, x in stated.items()}
+        known, left = self._equations[block]
+        signals = {name: self.input(block, name) for name in left[key]}
+        signals = {name: signals[name] for name in left[key]}  # these calls may have replaced some of them
+        reading = [other for other, names in left.items() if not signals.keys().isdisjoint(names)]
         known.update(zip(reading, self._replaced(block, [known[other] for other in reading], signals), strict=True))
+        left.update((other, tuple(name for name in left[other] if name not in signals)) for other in reading)
         return known[key]
 
     def _replaced(self, block: str, expressions: Sequence[SX], signals: Mapping[str, SX]) -> Sequence[SX]:
@@ -384,14 +390,6 @@ class Resolver:
             self._open.pop()
 
 
-def loop_fault(ports: Sequence[str]) -> AlgebraicLoopError:
-    """The fault of an algebraic loop through these ports."""
-    remedy = "break it with a block whose output depends on its states only, such as a filter or an integrator"
-    fault = AlgebraicLoopError(ports, remedy)
-    fault.path = ("blocks", ports[0].partition(".")[0])
-    return fault
-
-
 def _is_zero(difference: SX) -> bool:
     """True if it vanishes identically."""
     if difference.is_zero():
@@ -401,7 +399,3 @@ def _is_zero(difference: SX) -> bool:
         return zero_test(ca.Function("difference", [symbols], [difference])).zero
     except ValueFault:
         return False
-
-
-def _unknown(end: End, like: SX) -> SX:
-    return symbol(".".join(end), like.shape)
