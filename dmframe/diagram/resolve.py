@@ -68,9 +68,8 @@ class Resolver:
         if end not in self._rates:
             model = self.models[block]
             if state in model.equations.next:
-                rest = ca.SX.zeros(*model.states[state].shape)
+                self._rates[end] = rest = ca.SX.zeros(*model.states[state].shape)
                 self._projected(model, state, rest)
-                self._rates[end] = rest
                 return rest
             rate = self._opened(f"d{block}.{state}/dt", block, "rates", state)
             self._rates[end] = self._projected(model, state, rate)
