@@ -19,7 +19,7 @@ globalThis.checker = (() => {
   const UNARY = "sin cos tanh atan sqrt exp log fabs sign floor not".split(" ");
   const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
   const ASSUMED = [
-    "names, rates and next values are those of the loop that runs",
+    "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
     "divisors, those of derivatives too, and arguments of logarithms stay away from 0; arguments of roots are positive",
   ];
 
@@ -222,6 +222,7 @@ globalThis.checker = (() => {
       this.moves = new Map(Object.entries(data.rates).map(([label, k]) => {
         const item = this.symbol(label), kinds = this.samples ? ["state"] : ["state", "trajectory"];
         need(kinds.includes(item.kind) && this.vector(k).length === item.size, `the rate of ${label}`);
+        if (item.kind !== "state") for (const x of this.graph.reads(this.vector(k))) need(!["state", "projection"].includes(this.symbols[x].kind), `the rate of ${label}`);
         return [this.places.get(label), this.vector(k)];
       }));
       this.terms = this.terms.map((item) => this.readTerm(item));
@@ -260,7 +261,7 @@ globalThis.checker = (() => {
       keys(item.parts, item.name, PARTS[item.rule]);
       if (item.assumed !== null) printable(item.assumed);
       const parts = Object.fromEntries(Object.entries(item.parts).map(([name, k]) => [name, this.vector(k)]));
-      need((item.rule !== "monotone" || ["tanh", "atan"].includes(item.phi)) && (!this.samples || item.rule === "square"), `${item.name}: its role`);
+      need((item.rule === "monotone" ? ["tanh", "atan"] : [null]).includes(item.phi) && (!this.samples || item.rule === "square"), `${item.name}: its role`);
       return { ...item, ...parts };
     }
     symbol(label) { return this.symbols[this.places.get(label) ?? fail(label)]; }
@@ -741,7 +742,7 @@ globalThis.checker = (() => {
       const { of } = this, own = within[within.length - 1];
       return [...this.g.reads(nodes)].every((k) => {
         if (of.symbols[k].kind !== "projection") return true;
-        const state = of.projections.find((item) => item.correction === of.symbols[k].label)?.state;
+        const state = of.projections.find((item) => `${item.state}, correction` === of.symbols[k].label)?.state;
         return state !== undefined && (state === own || (!within.includes(state) && this.bounded(of.next(state), [...within, state])));
       });
     }
@@ -784,11 +785,12 @@ globalThis.checker = (() => {
     }
     // True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals.
     stable({ rates }) {
-      const { of, g, signs } = this, [[a, b], [c, d] = []] = rates.map((row) => row.map((k) => of.vector(k)));
-      const size = rates.length, two = size === 2 && rates.every((row) => row.length === 2);
+      const { of, g, signs } = this, size = rates.length, two = size === 2 && rates.every((row) => row.length === 2);
+      if (!two && rates.flat().length !== 1) return false;
+      const [[a, b], [c, d] = []] = rates.map((row) => row.map((k) => of.vector(k)));
       const nodes = two ? a.flatMap((x, k) => [g.neg(g.add(x, d[k])), g.sub(g.mul(x, d[k]), g.mul(b[k], c[k]))]) : a.map((x) => g.neg(x));
       const found = signs.bounds(nodes, two ? new Map() : signs.boxes);
-      return (two || size === 1) && found !== null && found.every((x) => positive(x[0]));
+      return found !== null && found.every((x) => positive(x[0]));
     }
     // Signals of which the vanishing implies that of others, these, and what this assumes.
     premises() {
@@ -854,8 +856,11 @@ globalThis.checker = (() => {
       const [once, again] = [0, 1].map(() => new Conclusions(of, signs, strict).check()); // with another prime
       shown = named(once.filter((item) => again.includes(item)));
     }
-    const labels = (kinds) => of.symbols.filter((item) => kinds.includes(item.kind)).map((item) => item.label).join(", ");
+    const labels = (kinds, more = () => true) => of.symbols.filter((item) => kinds.includes(item.kind) && more(item)).map((item) => item.label).join(", ");
     const given = of.samples ? "" : labels(GIVEN), still = labels(CONSTANT);
+    const exact = (item) => of.inputs(item.label).every((k) => of.known.has(k) && String(of.known.get(k)[0]) === String(of.known.get(k)[1]));
+    const some = of.samples ? "" : labels(CONSTANT, (item) => !exact(item));
+    const stated = [given && `bounded: ${given}`, still && `constant: ${still}`, some && `conclusions are for almost all values of: ${some}`];
     return {
       status: "re-proved",
       statement: of.samples ? "V(next) - V" : "dV/dt",
@@ -868,7 +873,7 @@ globalThis.checker = (() => {
       "only_at_exact_values_of": of.fixed.sort(),
       conclusions: shown,
       not_checked: named(of.conclusions).filter((text) => !shown.includes(text)),
-      assumed: [...ASSUMED, ...[given && `bounded: ${given}`, still && `constant: ${still}`].filter((x) => x), ...new Set(signs.assumed), ...of.assumed],
+      assumed: [...ASSUMED, ...stated.filter((x) => x), ...new Set(signs.assumed), ...of.assumed],
     };
   }
 

@@ -26,6 +26,7 @@ import operator
 import secrets
 import sys
 from fractions import Fraction
+from functools import partial
 from math import log2
 from types import SimpleNamespace
 
@@ -38,7 +39,7 @@ BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
 UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
 BINARY = set("fmin fmax lt le eq and if_else_zero atan2".split())
 ASSUMED = (
-    "names, rates and next values are those of the loop that runs",
+    "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
     "divisors, those of derivatives too, and arguments of logarithms stay away from 0; arguments of roots are positive",
 )
 
@@ -165,16 +166,7 @@ def each(function, *vectors):
     return [function(*elements) for elements in zip(*vectors, strict=True)]
 
 
-def plus(left, right):
-    return each(operator.add, left, right)
-
-
-def minus(left, right):
-    return each(operator.sub, left, right)
-
-
-def times(left, right):
-    return each(operator.mul, left, right)
+plus, minus, times, over = (partial(each, operation) for operation in ARITHMETIC.values())
 
 
 def dot(left, right):
@@ -358,9 +350,12 @@ class Certificate:
         flow, sample = (self.projections, self.masses, self.linear, self.ranks), (self.steps,)
         need(not any(flow if self.samples else sample), f"a rule that is unknown over a {self.over}")
         need(not self.samples or all(x.rule == "square" for x in self.terms), "a rule that is unknown over a sample")
-        kinds = {self.kinds[node.value[0]] for node in self.rates}
-        need(kinds <= ({"state"} if self.samples else {"state", "trajectory"}), "a rate of another symbol")
-        need(len({(x.signal, x.says) for x in self.conclusions}) == len(self.conclusions), "a conclusion occurs twice")
+        for node, rate in self.rates.items():
+            kind, seen = self.kinds[node.value[0]], {self.kinds[x.value[0]] for x in symbols([rate])}
+            given = kind == "trajectory" and not self.samples and seen <= CONSTANT | GIVEN | {"time"}
+            need(kind == "state" or given, f"{node.value[0]}: a rate")
+        self.stated = [f"{item.signal} {item.says}" for item in self.conclusions]
+        need(len({*self.stated}) == len(self.stated), "a conclusion occurs twice")
         stored = [node for term in self.terms if term.role == "stored" for node in flat(vars(term.parts).values())]
         need(stored or self.steps, "V has no term")
         for node in symbols(stored):
@@ -413,7 +408,10 @@ class Certificate:
         parts = dict.fromkeys(PARTS[rule].split(), self.vector)
         shape = {"name": str, "role": {role}, "rule": {rule}, "parts": parts, "assumed": (str,), "phi": (str,)}
         self.terms.append(term := read(value, shape, "a term"))
-        need(rule != "monotone" or term.phi in ("tanh", "atan"), f"{term.name}: unknown function {term.phi}")
+        need(
+            term.phi in (("tanh", "atan") if rule == "monotone" else (None,)),
+            f"{term.name}: unknown function {term.phi}",
+        )
         return term
 
     def vector(self, k):
@@ -454,7 +452,7 @@ def term_value(term):
     if term.rule == "square":  # |a|^2 in the weight W
         return dot(part.vector, weighted(part.weight, part.vector))
     if term.rule == "monotone":  # sum w (a - b) (phi(a / v) - phi(b / v))
-        phi = [each(lambda a, v: Node(term.phi, a / v), x, part.scale) for x in (part.first, part.second)]
+        phi = [[Node(term.phi, x) for x in over(own, part.scale)] for own in (part.first, part.second)]
         return dot(times(part.weight, minus(part.first, part.second)), minus(*phi))
     # potential: sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
     gains = each(lambda v, root: v * v * (root - ONE), part.width, roots(term))
@@ -463,8 +461,7 @@ def term_value(term):
 
 def roots(term):
     """sqrt(1 + (a / v)^2) of a potential."""
-    ratios = each(operator.truediv, term.parts.vector, term.parts.width)
-    return [Node("sqrt", ONE + x * x) for x in ratios]
+    return [Node("sqrt", ONE + x * x) for x in over(term.parts.vector, term.parts.width)]
 
 
 def robot(of, item):
@@ -614,18 +611,17 @@ def complexity(nodes):
 
 
 def random_prime(bits):
-    """By the test of Miller and Rabin with 64 random bases."""
+    """By the test of Miller and Rabin: base^odd is 1, or one of its first squares is -1, for 64 random bases."""
     while True:
         n = secrets.randbits(bits) | 1 << (bits - 1) | 1
-        if all(n % x for x in (3, 5, 7, 11, 13)) and all(passes(n, secrets.randbelow(n - 3) + 2) for _ in range(64)):
+        twos, tried = (n - 1 & 1 - n).bit_length() - 1, 0
+        while tried < 64:
+            x = pow(secrets.randbelow(n - 3) + 2, n - 1 >> twos, n)
+            if x != 1 and all(pow(x, 1 << k, n) != n - 1 for k in range(twos)):
+                break
+            tried += 1
+        else:
             return n
-
-
-def passes(n, base):
-    """base^odd is 1, or one of its first squares is -1, where n - 1 = odd 2^twos."""
-    twos = (n - 1 & 1 - n).bit_length() - 1
-    x = pow(base, n - 1 >> twos, n)
-    return x == 1 or any(pow(x, 1 << k, n) == n - 1 for k in range(twos))
 
 
 def identity(of):
@@ -665,15 +661,14 @@ class Signs:
         for item in of.masses:
             self.bodies(item)
         for term in of.terms:
-            sign = self.weight(term)
-            least = {"stored": 1, "dissipated": 0, "residual": -1}[term.role]
-            show(sign >= least, f"{term.name}: the sign of its weight is wrong, or not shown")
-            self.strict += [term] * (sign == 1)
+            if term.role != "residual":
+                sign = self.weight(term)
+                show(sign >= (term.role == "stored"), f"{term.name}: the sign of its weight is wrong, or not shown")
+                self.strict += [term] * (sign == 1)
         for item in of.projections:
             self.assumed.append(f"{item.state}: it starts in its box, and its law is this projection")
-            need(
-                len(item.term.parts.weight) == len(item.term.parts.vector), f"{item.state}: expected a diagonal metric"
-            )
+            part = item.term.parts
+            need(len(part.weight) == len(part.vector), f"{item.state}: expected a diagonal metric")
             self.inside(item.state, item.lower, item.true, item.upper)
         for item in of.steps:
             part = item.parts
@@ -883,7 +878,7 @@ class Conclusions:
             yield self.input(item), flat(item.vectors), None
         for term in self.of.terms:
             if term.rule == "potential":  # a / sqrt(1 + (a / v)^2) has the zeros of a
-                yield each(operator.truediv, term.parts.vector, roots(term)), term.parts.vector, None
+                yield over(term.parts.vector, roots(term)), term.parts.vector, None
         for item in self.of.ranks:
             R, (values,) = item.matrix, self.sampled(flat(item.matrix), 1)
             if not restricted(units(len(R)), matrix(values, len(R)), self.p):
@@ -982,7 +977,9 @@ def checked(of):
     given, still = ([x for x, kind in of.kinds.items() if kind in kinds] for kinds in (GIVEN, CONSTANT))
     bounds = [f"bounded: {', '.join(given)}"] * bool(given and not of.samples)
     bounds += [f"constant: {', '.join(still)}"] * bool(still)
-    texts = [f"{item.signal} {item.says}" for item in of.conclusions]
+    exact = {x for x, i in of.numbers.items() if i.lower == i.upper}
+    some = [label for label in still if not exact.issuperset(of.symbols[label])]
+    bounds += [f"conclusions are for almost all values of: {', '.join(some)}"] * bool(some and not of.samples)
     return {
         "status": "re-proved",
         "statement": "V(next) - V" if of.samples else "dV/dt",
@@ -991,7 +988,7 @@ def checked(of):
         "robot": [described(item) for item in of.masses],
         "only_at_exact_values_of": sorted({node.value[0] for node in of.fixed}),
         "conclusions": shown,
-        "not_checked": [x for x in texts if x not in shown],
+        "not_checked": [x for x in of.stated if x not in shown],
         "assumed": [*ASSUMED, *bounds, *dict.fromkeys(signs.assumed), *of.assumed],
     }
 
@@ -1019,7 +1016,7 @@ def main(arguments):
         with open(paths[0], encoding="utf-8") as file:
             content = file.read(LONGEST)
         need(len(content) < LONGEST, "the file is too long")
-        result, status = check(json.loads(content, object_pairs_hook=unique)), 0
+        result, status = check(json.loads(content, object_pairs_hook=unique, parse_constant=rational)), 0
     except Refuted as error:
         result, status = {"status": "refuted", "reason": str(error)}, 1
     except Exception as error:  # of a file that is no certificate

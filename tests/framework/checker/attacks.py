@@ -309,5 +309,5 @@ def more() -> Iterator[Attack]:
 
     yield "a projection that is counted twice", _of("arm2_joint", twice), "refuted"
     yield "the correction of another estimate", _of("arm2_joint", other), "refused refuted"
-    yield "a trajectory that follows the robot", _of("pendulum", following), "refuted"
+    yield "a trajectory that follows the robot", _of("pendulum", following), "refused"
     yield "a condition of the other sign", _of("arm2_joint", negative), "refuted"

@@ -24,6 +24,7 @@ from tests.framework.checker.certificates import (
     replaced,
 )
 from tests.framework.checker.corruptions import corrupted
+from tests.framework.checker.false_theorems import false_theorems
 from tests.framework.checker.test_check import allows, faults
 
 CHANGES: Final = 24
@@ -68,7 +69,7 @@ def test_a_seeded_fault_is_refuted(name: str) -> None:
 
 def test_a_file_that_states_more_than_is_true_is_not_accepted() -> None:
     node_path()
-    files = [*holes(), *more()]
+    files = [*holes(), *more(), *false_theorems()]
     for (what, data, allowed), found in zip(files, in_node([data for _, data, _ in files]), strict=True):
         assert allows(found, allowed), (what, found)
         _agrees(data, found, what)
