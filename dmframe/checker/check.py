@@ -367,11 +367,12 @@ class Certificate:
         item = read(value, shape, "a symbol")
         need(item.label not in self.symbols, f"{item.label}: a symbol occurs twice")
         need(item.size == 1 or item.kind not in ("time", "period"), f"{item.label}: expected one number")
-        need(item.numbers is None or item.kind == "parameter", f"{item.label}: numbers of a {item.kind}")
+        free = item.numbers is None and not item.exact
+        need(free or item.kind == "parameter", f"{item.label}: numbers of a {item.kind}")
         self.symbols[item.label] = nodes = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
         self.kinds[item.label] = item.kind
         need(sum(map(len, self.symbols.values())) < LARGEST, "symbols: too many elements")
-        for node, (lower, upper) in zip(nodes, item.numbers or (), strict=item.numbers is not None):
+        for node, (lower, upper) in zip(nodes, item.numbers or (), strict=not free):
             need(lower <= upper and (lower == upper or not item.exact), f"{item.label}: its numbers")
             self.numbers[node] = Interval(lower, upper)
             self.fixed |= {node: lower} if item.exact else {}

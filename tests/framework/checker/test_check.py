@@ -17,6 +17,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.catalogue import graphs
+from dmframe.certify import Verdict
 from dmframe.certify.published import certificate_schema, certificate_text
 from tests.framework.checker.attacks import holes, more
 from tests.framework.checker.certificates import (
@@ -24,6 +25,7 @@ from tests.framework.checker.certificates import (
     MISSING,
     certificate,
     checker,
+    in_node,
     outcome,
     replaced,
     result,
@@ -31,6 +33,13 @@ from tests.framework.checker.certificates import (
 )
 from tests.framework.checker.false_theorems import false_theorems
 from tests.framework.checker.written import circular, dominated, stable
+
+
+def said(verdict: Verdict, data: dict[str, Any]) -> set[str]:
+    """What a verdict and its certificate say that a checker must list: shown, not checked, or assumed."""
+    statements = {f"{item.signal} {item.says}" for item in verdict.statements if not item.estimate}
+    conditions = {f"condition: {item['name']}" for item in data["conditions"] if item["margin"] is None}
+    return statements | conditions | {str(item.text) for item in verdict.assumptions}
 
 
 @pytest.mark.parametrize("name", sorted(graphs()))
@@ -47,6 +56,8 @@ def test_every_proved_graph_is_proved_again(name: str) -> None:
     else:
         assert found["status"] == "re-proved"
         assert found["log2_error"] <= -300
+        listed = {*found["conclusions"], *found["not_checked"], *found["assumed"]}
+        assert said(graph.verify().verdict, data) <= listed
     again = graph.verify().verdict
     texts = [certificate_text(again, {"graph": name}, graph.intervals()) for _ in range(2)]
     assert texts == [text_of(name)] * 2
@@ -55,6 +66,24 @@ def test_every_proved_graph_is_proved_again(name: str) -> None:
         assert goals
         assert goals <= {*found["conclusions"]}
         assert any("follows from the torque" in text for text in found["robot"])
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("torque_direct_pid", "i is bounded"),  # by a common Lyapunov function of a box
+        ("ur10_admittance", "v_a is bounded"),  # by an assumption on the input of a linear equation
+        ("ur10_safe", "arm.q stays between 1.3, -2, 0 and 1.75, 0, 2 rad at all times"),  # by barriers
+    ],
+)
+def test_what_it_does_not_derive_is_listed_by_name(name: str, text: str) -> None:
+    verdict = dm.load(name).verify().verdict
+    assert text in {f"{item.signal} {item.says}" for item in verdict.statements}
+    data = certificate(name)
+    for found in (result(data), *in_node([data])):
+        assert text in found["not_checked"]
+        assert text not in found["conclusions"]
+        assert said(verdict, data) <= {*found["conclusions"], *found["not_checked"], *found["assumed"]}
 
 
 def test_it_runs_without_the_framework_and_its_exit_status_is_the_outcome(tmp_path: Path) -> None:
