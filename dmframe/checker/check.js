@@ -192,7 +192,7 @@ globalThis.checker = (() => {
     for (const name of ["exact", "strict", "box"]) need(!must.includes(name) || typeof item[name] === "boolean", name);
     return item;
   }
-  const printable = (x) => (typeof x === "string" && /^( |[^\p{C}\p{Z}])*$/u.test(x) ? x : fail("a text"));
+  const LINE = new RegExp("^( |[^\\p{C}\\p{Z}])*$", "u"), printable = (x) => (typeof x === "string" && LINE.test(x) ? x : fail("a text"));
   const whole = (x, from = 0, to = LARGEST) => {
     need(Number.isSafeInteger(x) && from <= x && x < to, `no number: ${x}`);
     return x;
