@@ -868,7 +868,7 @@ globalThis.checker = (() => {
       points,
       robot: of.masses.map(({ joints, motion }) => {
         const reads = motion && [...of.graph.reads(of.vector(motion.torque))].map((k) => of.symbols[k].label).sort().join(", ");
-        return `a chain of ${joints.length} rigid bodies${motion ? `, whose acceleration follows from a torque of ${reads}` : ""}`;
+        return `a chain of ${joints.length} rigid bodies` + (motion ? `, whose acceleration follows from a torque of ${reads}` : "");
       }),
       "only_at_exact_values_of": of.fixed.sort(),
       conclusions: shown,

@@ -44,7 +44,7 @@ def page(certificate: str) -> str:
 def cold(certificate: str, runs: int) -> Iterator[tuple[float, float]]:
     """Wall time of the check and CPU time of the scripts of each run, in seconds."""
     for _ in range(runs):
-        with TemporaryDirectory() as folder:
+        with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             path = Path(folder, "page.html")
             path.write_text(page(certificate), encoding="utf-8")
             with chromium(Path(folder, "profile")) as tab:
