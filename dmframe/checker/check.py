@@ -490,6 +490,7 @@ def robot(of, item):
     slopes = [[rates(T, lambda x, own=own: ONE if x is own else ZERO, {}) for T in frames] for own in q]
     mass = [force(slopes[j], slopes[k]) + (rotors[j] if j == k else ZERO) for k in range(n) for j in range(n)]
     yield "the mass matrix", minus(item.weight, replaced(mass, dict(zip(q, item.position))))
+    yield "the rates of the bodies", of.sure_rate([*item.translations, *item.inertia, *rotors])
     if (motion := item.motion) is not None:
         moves = dict(zip([*q, *dq], [*dq, *ddq]))
         falls = [ZERO if k % 4 < 3 else motion.gravity[k // 4] for k in range(12)]
@@ -497,7 +498,6 @@ def robot(of, item):
         seconds = [minus(rates(x, lambda x: moves.get(x, ZERO), {}), falls) for x in speeds]
         forces = [force(slopes[j], seconds) + rotors[j] * ddq[j] for j in range(n)]
         actual = dict(zip([*q, *dq, *ddq], [*item.position, *motion.velocity, *motion.acceleration], strict=True))
-        yield "the rates of the bodies", of.sure_rate([*item.translations, *item.inertia, *rotors])
         yield "the robot's velocity", minus(of.sure_rate(item.position), motion.velocity)
         yield "the robot's acceleration", minus(of.sure_rate(motion.velocity), motion.acceleration)
         yield "the robot's equation of motion", minus(replaced(forces, actual), motion.torque)
@@ -587,9 +587,10 @@ def equalities(of):
     return [("V", [ONE if of.steps else V]), ("V(next) - V" if of.samples else "dV/dt", [total]), *found]
 
 
-def complexity(nodes):
+def complexity(nodes, fixed):
     """D + H of all polynomials that must not vanish at a random point: the numerators of these nodes and of divisors,
-    and the differences x - y and x + y of arguments of one function, with 0 and 1 as further arguments.
+    and the differences x - y and x + y of arguments of one function, with 0 and 1 as further arguments. `fixed`
+    contains the numbers of symbols with exact ones.
 
     The size of a node bounds degree and log2 of the sum of coefficients, of its numerator and of its denominator.
     """
@@ -600,8 +601,9 @@ def complexity(nodes):
             sizes[node] = sum(sizes[x] for x in node.of) + 1
             need(sizes[node] < 1 << max(SIZES), "the degree of an expression is too high")
             total += 2 * sizes[node] * (node.name == "inv")
-        elif node.name == "number":
-            sizes[node] = max(node.value.numerator.bit_length(), node.value.denominator.bit_length())
+        elif node.name == "number" or node in fixed:
+            value = fixed.get(node, node.value)
+            sizes[node] = max(value.numerator.bit_length(), value.denominator.bit_length())
         else:
             sizes[node] = 2 if node.name in ("sin", "cos") else 1
         if node.of and not rational:
@@ -629,7 +631,7 @@ def identity(of):
     """log2 of the error bound and the number of points; raises `Refuted` at one where an equality does not hold."""
     found = equalities(of)
     nodes = flat([*(own for _, own in found), *(own for _, own in of.vectors), of.divided])
-    degree = log2(complexity(nodes))
+    degree = log2(complexity(nodes, of.fixed))
     bits = next((bits for bits in SIZES if degree + 3 - bits < -64), None)
     need(bits is not None, f"the degree of the identity is too high: D + H is 2^{degree:.0f}")
     points, tried = 0, 0
@@ -959,7 +961,7 @@ def from_steps(of):
         if item.box:
             yield f"{name} is bounded"
         yield f"|{name} - true value|^2 in the metric gain^-1 does not rise where eta is zero"
-        yield f"the error of {name} in the direction of its rows is square-summable where eta is"
+        yield f"h'({name} - true value) / sqrt(n) is square-summable where eta / sqrt(n) is"
 
 
 def check(data: dict) -> dict:

@@ -115,6 +115,12 @@ SAME: Final = (
 """Parts of a result that both checkers have in common."""
 
 
+def common(found: dict[str, Any]) -> dict[str, Any]:
+    """These parts, without the symbols of a torque: differences of one expression with itself are read or not."""
+    own = {key: found.get(key) for key in SAME}
+    return {**own, "robot": [text.partition(", whose")[0] for text in own["robot"] or ()]}
+
+
 def node_path() -> str:
     """Path of Node; the test is skipped without it."""
     node = shutil.which("node")

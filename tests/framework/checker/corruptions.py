@@ -23,7 +23,7 @@ from typing import Any, Final
 
 sys.path.insert(0, str(Path(__file__).parents[3]))
 
-from tests.framework.checker.certificates import SAME, certificate, in_node, result
+from tests.framework.checker.certificates import certificate, common, in_node, result
 
 NAMES: Final = (
     "pendulum",
@@ -306,7 +306,7 @@ def judged(tasks: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
     others = [(k, data, own) for k, (outcome, _, data, own) in enumerate(found) if outcome == TRUE]
     outcomes = [(outcome, where) for outcome, where, *_ in found]
     for (k, _, own), other in zip(others, in_node([data for _, data, _ in others]), strict=True):
-        if any(other.get(key) != own[key] for key in SAME):
+        if common(other) != common(own):
             outcomes[k] = ("FALSE", f"{outcomes[k][1]}: the other checker: {other}")
     return outcomes
 

@@ -161,6 +161,8 @@ def _bodies() -> Iterator[Attack]:
         concluded(file.data, file.vector(x))
         yield f"a body whose mass is a {kind}", file.data, "refuted refused"
 
+    yield "a chain whose length grows with the time", _growing().data, "refuted"
+
     file = stable()
     none = dict.fromkeys(("weight", "position", "translations", "inertia"), file.vector())
     file.data["masses"] = [{**none, "rotors": None, "motion": None, "joints": []}]
@@ -178,6 +180,29 @@ def _bodies() -> Iterator[Attack]:
     joint = {"kind": "prismatic", "axis": ["0", "0", "1"], "rotation": list("100010001")}
     file.data["masses"] = [{"weight": file.vector(m), "position": file.vector(x), **own, "joints": [joint]}]
     yield "a torque that is what the acceleration needs", file.data, "robot a torque of m, q, v"
+
+
+def _growing() -> File:
+    """V = |(a, b)|^2 in the mass matrix of a slide at the end of an arm of the length L, with L and b unbounded.
+
+    2 V = 2 a^2 + (L a + b)^2 is constant with da/dt = 0, db/dt = -a, dL/dt = 1.
+    """
+    file = File()
+    a, b, L = (file.symbol(label, "state") for label in "abL")
+    one, zero = file.number("1"), file.number("0")
+    rates = {"a": -1, "b": file.instruction("sub", zero, a), "L": one}
+    file.data["rates"] = {label: file.vector(place) for label, place in rates.items()}
+    first = file.instruction("add", file.number("2"), file.instruction("mul", L, L))
+    weight = file.vector(first, L, L, one)
+    file.term("stored", file.vector(a, b), weight)
+    body = [one, -1, -1, -1, one, -1, one, -1, -1, one]  # of mass 1, with the inertia 1 about each axis
+    own = {"inertia": file.vector(*body, *body), "rotors": None, "motion": None}
+    arm = {"kind": "revolute", "axis": ["0", "0", "1"], "rotation": list("100010001")}
+    slide = {"kind": "prismatic", "axis": ["0", "1", "0"], "rotation": list("100010001")}
+    own |= {"translations": file.vector(-1, -1, -1, L, -1, -1), "joints": [arm, slide]}
+    file.data["masses"] = [{"weight": weight, "position": file.vector(-1, -1), **own}]
+    concluded(file.data, file.vector(b), "is bounded")
+    return file
 
 
 def _linear() -> Iterator[Attack]:
