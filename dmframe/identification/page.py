@@ -61,7 +61,8 @@ def lead(found: Identified) -> Lead:
     verdict = f"Verdict: {found.verdict.sentence}.".replace("$", "")  # a file's name may have it, a formula has none
     if not found.known:
         why = (
-            f"the closest class, {CLASSES[found.choice.best.replace('_0', '')]}, leaves more than three times the floor"
+            f"the closest class, {CLASSES[found.choice.best.replace('_0', '')]}, leaves more than three times the floor "
+            f"at {', '.join(found.unexplained)}"
         )
         return Lead("refuted", "Unknown servo", Marked(f"{why}. {verdict}"))
     value, (low, high) = found.delay
