@@ -899,7 +899,7 @@ if (typeof module === "object" && typeof require === "function") {
       if (!Array.isArray(this)) count++;
       return value;
     });
-    if (text.match(/"(\\.|[^"\\])*"\s*:?/g)?.filter((token) => token.endsWith(":")).length !== count) throw new Error("a key occurs twice in one object");
+    if ((text.match(/"(\\.|[^"\\])*"\s*:?/g) ?? []).filter((token) => token.endsWith(":")).length !== count) throw new Error("a key occurs twice in one object");
     return data;
   };
   if (require.main === module) {

@@ -319,9 +319,7 @@ class Certificate:
     """A file that has been read: its lists contain nodes in place of the numbers of vectors and terms."""
 
     def __init__(self, data):
-        need(
-            type(data) is dict and data.get("version") == 3, "expected a certificate of version 3: write the file again"
-        )
+        need(type(data) is dict and data.get("version") == 3, "version: expected 3; write the file again")
         self.symbols, self.kinds, self.numbers, self.fixed, self.rates, self.derivatives = ({} for _ in range(6))
         self.nodes, self.divided, self.vectors, self.terms, vector = [ZERO], [], [], [], self.vector
         joint = {"kind": {"revolute", "prismatic"}, "axis": [rational], "rotation": [rational]}
