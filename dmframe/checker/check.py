@@ -851,10 +851,7 @@ class Conclusions:
 
     def grow(self, nodes):
         """Closes directions along which a bounded signal changes at a constant rate; True if there was one."""
-        read, still = symbols(nodes), [0] * len(nodes)
-        moves = [any(step and x in read for x, step in zip(self.columns, u, strict=True)) for u in self.open]
-        pairs = [list(zip(moves, self.open, strict=True))] * 2
-        one, other = ([self.along(nodes, k, u) if moved else still for moved, u in pairs[k]] for k in (0, 1))
+        one, other = ([self.along(nodes, k, u) for u in self.open] for k in (0, 1))
         steady = [k for k in range(len(nodes)) if all(a[k] == b[k] for a, b in zip(one, other, strict=True))]
         return self.restrict([[row[k] for k in steady] for row in one])
 
