@@ -784,7 +784,8 @@ globalThis.checker = (() => {
       });
     }
     // True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals.
-    stable({ rates }) {
+    stable({ vectors, rates }) {
+      need(new Set([...vectors, ...rates.flat()].map((k) => this.of.vector(k).length)).size === 1, "size");
       const { of, g, signs } = this, size = rates.length, two = size === 2 && rates.every((row) => row.length === 2);
       if (!two && rates.flat().length !== 1) return false;
       const [[a, b], [c, d] = []] = rates.map((row) => row.map((k) => of.vector(k)));

@@ -866,6 +866,7 @@ class Conclusions:
 
     def stable(self, item):
         """True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals."""
+        need(len({*map(len, [*item.vectors, *flat(item.rates)])}) == 1, "a linear equation: sizes of its vectors")
         A = [self.signs.intervals(x, self.signs.boxes if len(item.rates) == 1 else {}) for x in flat(item.rates)]
         if None in A or len(A) not in (1, 4):
             return False
