@@ -35,7 +35,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 class _Kept:
-    """Diagrams of packaged blocks by their content, and their verdicts, as long as nothing in the process is patched."""
+    """Diagrams of packaged blocks by their content, and their verdicts, as long as nothing is patched."""
 
     given = False
     diagrams: ClassVar[dict[Any, Diagram]] = {}
@@ -139,6 +139,22 @@ def pendulum() -> Runner:
         return simulate(diagram, 0.2, engine=engine, **given)  # type: ignore[arg-type]
 
     return run
+
+
+@pytest.fixture(scope="session")
+def chromium_tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One Chromium for all tests of a worker, since its start takes a second."""
+    from in_chromium import chromium
+
+    with chromium(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+@pytest.fixture
+def tab(chromium_tab: Any) -> Any:
+    """Its tab, at the size of the window."""
+    chromium_tab.sized(None)
+    return chromium_tab
 
 
 @pytest.fixture
