@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
+from functools import wraps
 from pathlib import Path
 from typing import Any, ClassVar
 from weakref import WeakSet
@@ -85,6 +86,7 @@ def _made_once(_compiled_once: Path, _checked_once: None, _probable_primes: None
         key = (own, tuple((wires or {}).items()), robot)
         return _Kept.diagram(key, lambda: build(cls, blocks, wires, robot))
 
+    @wraps(verdict)
     def kept_verdict(graph: BaseGraph, diagram: Diagram | None = None, **given: Any) -> Any:
         if not _Kept.known(ours):
             return verdict(graph, diagram, **given)
