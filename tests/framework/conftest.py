@@ -32,25 +32,43 @@ _patches = WeakSet[pytest.MonkeyPatch]()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    _Kept.given = item.path.parent.name in GIVEN
+    folder = item.path.parent.name
+    if folder != _Kept.folder:
+        _Kept.forget()
+    _Kept.folder, _Kept.given = folder, folder in GIVEN
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_teardown() -> None:
+    _Kept.known()  # forgets what was evaluated under a patch
 
 
 class _Kept:
-    """Diagrams of packaged blocks by their content, and their verdicts, as long as nothing is patched."""
+    """Diagrams of packaged blocks by their content and their verdicts, of one folder, until something is patched."""
 
-    given = False
+    folder, given = "", False
+    ours: ClassVar[WeakSet[pytest.MonkeyPatch]] = WeakSet()
+    """Patches of the whole session."""
     diagrams: ClassVar[dict[Any, Diagram]] = {}
     results: ClassVar[dict[int, dict[Any, Any]]] = {}
     """By the identity of a diagram that is kept."""
 
     @classmethod
-    def known(cls, at: WeakSet[pytest.MonkeyPatch]) -> bool:
-        """True if results may be kept: a patch of a class or module makes other ones."""
-        return cls.given and not any(
+    def known(cls) -> bool:
+        """True if results may be kept: a patch of a class or module makes other ones, and may remain in those kept."""
+        if any(
             patch._setattr or any(changed is not os.environ for changed, *_ in patch._setitem)
             for patch in _patches
-            if patch not in at
-        )
+            if patch not in cls.ours
+        ):
+            cls.forget()
+            return False
+        return cls.given
+
+    @classmethod
+    def forget(cls) -> None:
+        cls.diagrams.clear()
+        cls.results.clear()
 
     @classmethod
     def of(cls, diagram: Diagram, key: Any, make: Callable[[], Any]) -> Any:
@@ -80,7 +98,7 @@ def _made_once(_compiled_once: Path, _checked_once: None, _probable_primes: None
 
     def kept_build(cls: Any, blocks: Any, wires: Any = None, robot: Any = None) -> Any:
         packaged = all(type(block).__module__.startswith("dmframe_blocks.") for block in blocks.values())
-        if not packaged or not _Kept.known(ours):
+        if not packaged or not _Kept.known():
             return build(cls, blocks, wires, robot)
         own = tuple((name, type(block), repr(block.model_dump())) for name, block in blocks.items())
         key = (own, tuple((wires or {}).items()), robot)
@@ -88,13 +106,13 @@ def _made_once(_compiled_once: Path, _checked_once: None, _probable_primes: None
 
     @wraps(verdict)
     def kept_verdict(graph: BaseGraph, diagram: Diagram | None = None, **given: Any) -> Any:
-        if not _Kept.known(ours):
+        if not _Kept.known():
             return verdict(graph, diagram, **given)
         key = repr((sorted(given.items()), graph.start, graph.file.uncertain))
         return _Kept.of(diagram or graph.diagram, ("verdict", key), lambda: verdict(graph, diagram, **given))
 
     def kept_check(diagram: Diagram) -> tuple[str, ...]:
-        if not _Kept.known(ours):
+        if not _Kept.known():
             return check(diagram)
         return _Kept.of(diagram, "laws", lambda: check(diagram))  # type: ignore[no-any-return]
 
@@ -102,7 +120,7 @@ def _made_once(_compiled_once: Path, _checked_once: None, _probable_primes: None
         patch.setattr(Diagram, "build", classmethod(kept_build))
         patch.setattr(BaseGraph, "verdict", kept_verdict)
         patch.setattr(laws, "check_laws", kept_check)
-        ours = WeakSet(_patches)
+        _Kept.ours = WeakSet(_patches)
         yield
 
 
