@@ -6,6 +6,8 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +21,8 @@ import dmframe as dm
 from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import graphs
 from dmframe.certify import Verdict, verify
-from dmframe.certify.published import certificate_schema, certificate_text
+from dmframe.certify.published import certificate_of, certificate_schema, certificate_text
+from dmframe.certify.small_gain import Kappa
 from tests.framework.checker.attacks import Attack, holes, more
 from tests.framework.checker.certificates import (
     CHECKER,
@@ -87,6 +90,17 @@ def test_what_it_does_not_derive_is_listed_by_name(name: str, text: str) -> None
         assert text in found["not_checked"]
         assert text not in found["conclusions"]
         assert said(verdict, data) <= {*found["conclusions"], *found["not_checked"], *found["assumed"]}
+
+
+def test_the_weight_of_a_cascade_must_exceed_the_least_kappa() -> None:
+    """The file contains a matrix in place of the small gain; its pivots decide the same bound of kappa."""
+    verdict = dm.load("arm2_joint").verify().verdict
+    assert verdict.kappa is not None
+    least = verdict.kappa.least
+    for share, status in ((Fraction(99, 100), "refuted"), (Fraction(101, 100), "re-proved")):
+        data = certificate_of(replace(verdict, kappa=Kappa(least, share * least)), {})
+        for found in (result(data), *in_node([data])):
+            assert found["status"] == status
 
 
 def test_it_runs_without_the_framework_and_its_exit_status_is_the_outcome(tmp_path: Path) -> None:
