@@ -98,9 +98,10 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
     if request.log is not None:
         graph = str(found.folder / FIRST)  # with the tool and the held joints of the request
         log = identify(request.log, graph, out=found.folder / LOG, say=lambda text: progress.say("robot", text))
-        if not log.known:
+        if not (log.known and log.twin):
             reason = (
-                "no class of servo explains the log: see identified/report.html; without --log the servo is assumed"
+                "no class of servo, or no robot with physical bodies, explains the log: see identified/report.html; "
+                "without --log the servo is assumed"
             )
             return replace(found, reason=reason)
         first, found = _identified(log, request, found)

@@ -15,6 +15,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.graph.first import FirstGraph
+from dmframe.identification.built import moved
 from dmframe.identification.drawn import Plant, rubbing_of, thetas
 from dmframe.identification.found import Identified
 from dmframe.identification.race_text import FIT, SERVO, noise_of
@@ -95,7 +96,8 @@ def makers(first: FirstGraph, payload: float, seconds: float) -> Family:
 def identified(found: Identified, payload: float, seconds: float, clock: float, seed: int = 0) -> Family:
     """The best fit of a log for tuning; draws from its covariance, and the best fit with a payload, for comparison."""
     unknowns = found.fit.unknowns
-    plants = [Plant.of(unknowns, theta) for theta in (found.fit.theta, *thetas(found, DRAWS, seed).T)]
+    drawn = moved(found, thetas(found, DRAWS, seed))
+    plants = [Plant.of(unknowns, theta) for theta in (found.fit.theta, *drawn.T)]
     rubbing = rubbing_of(found)
     late = [plant.delay * unknowns.log.period / clock for plant in plants]
     names = [FIT, *(f"draw_{k}" for k in range(1, DRAWS + 1))]

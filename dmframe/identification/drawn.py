@@ -11,6 +11,8 @@ import numpy as np
 
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
+from dmframe.identification.nearest import bodies_near
+from dmframe.identification.pseudo_inertia import pseudo_inertia
 from dmframe.identification.solve import MOST_DELAY
 from dmframe.identification.unknowns import SERVOS, Unknowns
 from dmframe.robot.parameters import DynamicParameters
@@ -20,8 +22,6 @@ NARROW: Final = 0.05
 MOST_SAMPLES: Final = 4.0
 """Longest delay of a graph, in samples of its clock."""
 PROJECTIONS: Final = 2000
-LENGTH: Final = 0.3
-"""Unit of lengths in a pseudo-inertia, with which its elements are of similar size [m]."""
 SMALLEST: Final = 1e-4
 """Least eigenvalue of a pseudo-inertia, relative to its largest one."""
 WHOLE: Final = 0.02
@@ -58,13 +58,13 @@ class Plant:
     delay: float
 
     @classmethod
-    def of(cls, unknowns: Unknowns, theta: Array) -> Plant:
-        """The twin with the unknowns theta; friction and rotors are not negative."""
+    def of(cls, unknowns: Unknowns, theta: Array, *, physical: bool = True) -> Plant:
+        """The twin with the unknowns theta; friction and rotors are not negative, and bodies are physical."""
         p = unknowns.numbers(theta[:, None], 0.0)[:, 0]
         number = {name: p[place] for name, place in unknowns.model.places.items()}
         own = {name: theta[unknowns.places[name]] for name in SERVOS[unknowns.kind]}
         gains = {name: np.maximum(value, 0.0) if name == "f" else np.exp(value) for name, value in own.items()}
-        bodies, rotors = bodies_of(unknowns, number["beta"])
+        bodies, rotors = bodies_of(unknowns, number["beta"], physical=physical)
         friction = {name: np.maximum(number[name], 0.0) for name in ("B", "D", "S", "L")}
         return cls(
             servo=servo_of(unknowns.kind, 1 / number["w"], gains),
@@ -119,11 +119,12 @@ def servo_of(kind: str, speed: Array, gains: dict[str, Array]) -> dict[str, Arra
     }
 
 
-def bodies_of(unknowns: Unknowns, beta: Array) -> tuple[Array, Array]:
+def bodies_of(unknowns: Unknowns, beta: Array, *, physical: bool = True) -> tuple[Array, Array]:
     """Inertial parameters of the links, (n, 10), and of the rotors, (n,), with the base parameters `beta`.
 
     Of all that have them, those are chosen that deviate least from the robot's file, relative to the prior; rotors are
-    not negative.
+    not negative. If no physical bodies have them, those are chosen whose base parameters deviate least, relative to the
+    prior; without `physical`, masses may be negative.
     """
     model, parameters = unknowns.model, unknowns.model.base.parameters
     values = np.array([0.0 if value is None else float(value) for value in parameters.values])
@@ -137,18 +138,29 @@ def bodies_of(unknowns: Unknowns, beta: Array) -> tuple[Array, Array]:
     start[rotors] = np.maximum(nearest(values, root)[rotors], 0.0)
     fixed = root.copy()
     fixed[rotors] = 0.0
-    everything = physical(nearest(start, fixed), beta, model.grouping, parameters)
+    everything = nearest(start, fixed)
+    if physical:
+        everything = reflected(everything, beta, model.grouping, parameters)
+    if physical and not buildable(everything, parameters):
+        everything = bodies_near(unknowns, np.linalg.solve(unknowns.bodies, beta - unknowns.center))
     return everything[parameters.inertial].reshape(model.n, -1), everything[rotors]
 
 
-def physical(values: Array, beta: Array, grouping: Array, parameters: DynamicParameters) -> Array:
+def buildable(values: Array, parameters: DynamicParameters) -> bool:
+    """True if the masses of all links are nowhere negative, and rotors are not."""
+    links = values[parameters.inertial].reshape(-1, 10)
+    least = min(float(np.linalg.eigvalsh(pseudo_inertia(own))[0]) for own in links)
+    return least > 0 and bool(np.all(values[parameters.places("rotor")] >= 0))
+
+
+def reflected(values: Array, beta: Array, grouping: Array, parameters: DynamicParameters) -> Array:
     """Parameters of bodies whose mass is nowhere negative, with the same base parameters, near `values`.
 
     By alternating reflections at the positive definite pseudo-inertias P and projections on the base parameters, in the
     Frobenius norm of P with lengths relative to `LENGTH`; `values` if they do not meet within `PROJECTIONS`.
     """
     links, rotors = np.arange(len(values))[parameters.inertial].reshape(-1, 10), parameters.places("rotor")
-    root, turned = np.eye(len(values)), np.array([_pseudo_inertia(row) for row in np.eye(10)])
+    root, turned = np.eye(len(values)), np.array([pseudo_inertia(row) for row in np.eye(10)])
     corner = np.triu_indices(4)
     weight = np.where(corner[0] == corner[1], 1.0, np.sqrt(2.0))
     own = np.array([matrix[corner] * weight for matrix in turned]).T  # the coordinates of a link's parameters
@@ -171,16 +183,22 @@ def physical(values: Array, beta: Array, grouping: Array, parameters: DynamicPar
     return values
 
 
-def _pseudo_inertia(own: Array) -> Array:
-    """[[tr(I)/2 - I, m r], [m r', m]] of m, m r, xx, xy, yy, xz, yz, zz, with lengths relative to `LENGTH`."""
-    mass, moment, (xx, xy, yy, xz, yz, zz) = own[0], own[1:4] / LENGTH, own[4:] / LENGTH**2
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    second = np.trace(inertia) / 2 * np.eye(3) - inertia
-    return np.block([[second, moment[:, None]], [moment[None], np.array([[mass]])]])
-
-
 def thetas(found: Identified, count: int, seed: int = 0) -> Array:
     """Draws of the unknowns, (size, count), from the normal distribution with the covariance of the fit.
+
+    What `held_covariance` holds is not drawn.
+    """
+    fit, unknowns = found.fit, found.fit.unknowns
+    values, vectors = np.linalg.eigh(held_covariance(found))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    normal = np.random.default_rng(seed).standard_normal((len(fit.theta), count))
+    drawn = fit.theta[:, None] + root @ normal
+    drawn[unknowns.places["delay"]] = np.clip(drawn[unknowns.places["delay"]], 0.0, MOST_DELAY)
+    return np.asarray(drawn)
+
+
+def held_covariance(found: Identified) -> Array:
+    """Covariance of the unknowns for a given scale of the torques.
 
     A common factor of all torques changes no motion, and positions do not determine it: the mean of log w is held, by
     conditioning. So are the velocity v_0 of the friction law and a delay that is known within `NARROW`.
@@ -193,12 +211,7 @@ def thetas(found: Identified, count: int, seed: int = 0) -> Array:
         row[unknowns.places[name]] = weight
     covariance = found.wider**2 * fit.covariance
     gain = covariance @ C.T @ np.linalg.inv(C @ covariance @ C.T)
-    values, vectors = np.linalg.eigh(covariance - gain @ C @ covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    normal = np.random.default_rng(seed).standard_normal((len(fit.theta), count))
-    drawn = fit.theta[:, None] + root @ normal
-    drawn[unknowns.places["delay"]] = np.clip(drawn[unknowns.places["delay"]], 0.0, MOST_DELAY)
-    return np.asarray(drawn)
+    return np.asarray(covariance - gain @ C @ covariance)
 
 
 def whole(samples: float) -> float:

@@ -48,6 +48,8 @@ class Identified:
         Joints whose commands the robot clips, with the first estimate of the limit.
     torques
         Measured torques or currents relative to the torques of the identified robot.
+    twin
+        False if no physical bodies have base parameters that explain the log, so that no robot can be written.
     """
 
     choice: Choice
@@ -56,6 +58,7 @@ class Identified:
     verdict: Verdict = NOT_REQUESTED
     limits: tuple[Limit, ...] = ()
     torques: tuple[Factor, ...] = ()
+    twin: bool = True
 
     @property
     def fit(self) -> Fit:

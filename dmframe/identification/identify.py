@@ -14,6 +14,7 @@ import numpy as np
 from dmframe.catalogue import graphs
 from dmframe.common.errors import ValueFault
 from dmframe.common.version import version
+from dmframe.identification.built import built
 from dmframe.identification.checked import Checked, checked_log
 from dmframe.identification.choose import Choice, chosen
 from dmframe.identification.clipped import Limit
@@ -124,7 +125,7 @@ def _identified(
     }
     engine = (twins.notice,) if twins.notice else ()
     columns_used = "columns: " + ", ".join(f"{a} = {b}" for a, b in used.items())
-    found = Identified(choice, (*engine, columns_used, *notices), about, limits=checked.limits)
+    found = built(Identified(choice, (*engine, columns_used, *notices), about, limits=checked.limits), twins)
     if found.known:
         found = replace(found, torques=factors(found.fit, signals))
     _determined(found, table.name)

@@ -217,7 +217,7 @@ def _again(found: Identified) -> Iterator[Bullets | Table]:
     items: list[Cell] = []
     if command := found.record.get("command"):
         items.append((Word(str(command), "command"), " repeats this identification"))
-    if found.known:
+    if found.known and found.twin:
         items.append((Word("dmframe run twin.yaml", "command"), " runs the identified robot along a joint path"))
     if found.verdict.laws:
         items.append(

@@ -11,6 +11,7 @@ import numpy as np
 
 from dmframe.catalogue import find_twin
 from dmframe.common.errors import MissingError
+from dmframe.identification.built import moved
 from dmframe.identification.drawn import MOST_SAMPLES, Plant, periods, plain, rubbing_of, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.robot_file import TOOL
@@ -35,6 +36,8 @@ def not_applicable(found: Identified) -> str:
     chain = found.fit.unknowns.model.chain
     if not found.known:
         return "the class of the servo is unknown, so that there is no twin"
+    if not found.twin:
+        return "no physical bodies have the base parameters, so that there is no twin"
     if chain.n > MOST_JOINTS or chain.n != chain.m:
         return (
             f"the laws are compared for two or three joints and as many coordinates of the tool, found {chain.n} and "
@@ -77,7 +80,7 @@ def race_text(found: Identified, draws: int, place: Place, seed: int = 0) -> str
     unknowns, data = found.fit.unknowns, packaged()
     log, chain, clock = unknowns.log, unknowns.model.chain, clock_of(found)
     plants = [Plant.of(unknowns, found.fit.theta)]
-    plants += [Plant.of(unknowns, theta) for theta in thetas(found, draws, seed).T]
+    plants += [Plant.of(unknowns, theta) for theta in moved(found, thetas(found, draws, seed)).T]
     names = [FIT, *(f"draw_{k}" for k in range(1, draws + 1))]
     rubbing = rubbing_of(found)
     data["robot"] = {

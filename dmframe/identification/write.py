@@ -37,11 +37,11 @@ def written(found: Identified, folder: Path) -> tuple[Path, ...]:
     """Write the numbers, the page and, for a known servo, the robot and the graph of its twin; returns their paths."""
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
-    stale = not found.known and (folder / ROBOT).exists()  # an unknown servo has no twin
+    stale = not (found.known and found.twin) and (folder / ROBOT).exists()  # of another result
     if stale or _digest(folder) not in ("", found.record.get("sha256")):
         set_aside(folder)
     texts = {RESULT: json.dumps({**found.summary, "record": found.record}, indent=2) + "\n"}
-    if found.known:
+    if found.known and found.twin:
         texts |= {ROBOT: robot_text(found), GRAPH: graph_text(found)}
         if adaptive := adaptive_text(found):
             texts[ADAPTIVE] = adaptive
@@ -168,7 +168,7 @@ def _with_numbers(data: Any, found: Identified, rubbing: Sequence[str] = ()) -> 
     for label, value in named.items():
         block, _, name = label.partition(".")
         data["blocks"][block][name] = plain(value)
-    drawn = [_numbers(Plant.of(unknowns, theta), rubbing) for theta in thetas(found, DRAWS).T]
+    drawn = [_numbers(Plant.of(unknowns, theta, physical=False), rubbing) for theta in thetas(found, DRAWS).T]
     for label, value in named.items():
         spread = 2 * np.std([numbers[label] for numbers in drawn], axis=0)
         if label == "arm.rotor":

@@ -26,7 +26,7 @@ from dmframe.common.files import write_text
 from dmframe.identification import verdict as verdicts
 from dmframe.identification.answer import Verdict
 from dmframe.identification.choose import Choice, floor_of
-from dmframe.identification.drawn import Plant, physical, thetas
+from dmframe.identification.drawn import Plant, reflected, thetas
 from dmframe.identification.found import Identified
 from dmframe.identification.identify import _above, _doubts, chain_of
 from dmframe.identification.log import Log
@@ -360,7 +360,7 @@ def test_links_of_a_twin_are_physical_bodies_with_the_same_base_parameters() -> 
     moved = values + alike.T @ np.random.default_rng(0).normal(0, 2, len(alike))
     beta = model.grouping @ values
     assert np.min(moved[mass[:, [4, 6, 9]]]) < 0
-    found = physical(moved, beta, model.grouping, parameters)
+    found = reflected(moved, beta, model.grouping, parameters)
     assert model.grouping @ found == pytest.approx(beta, abs=1e-9)
     for own in found[mass]:
         inertia = np.array([[own[4], own[5], own[7]], [own[5], own[6], own[8]], [own[7], own[8], own[9]]])
