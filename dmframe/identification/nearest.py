@@ -14,6 +14,7 @@ is the constrained maximum of the likelihood, approximated to second order. The 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -30,7 +31,7 @@ WEAK: Final = 1e-2
 EXACT: Final = 1e3
 """Weight of the base parameters, in their prior deviations, if there are physical bodies with them."""
 ROUNDS: Final = 300
-"""Most evaluations of the Jacobian matrix."""
+"""Most steps of the least squares."""
 
 
 def nearest(unknowns: Unknowns, covariance: Array, theta: Array) -> tuple[Array, float]:
@@ -93,5 +94,15 @@ def bodies_near(unknowns: Unknowns, z: Array, white: Array | None = None) -> Arr
     sizes, axes = np.linalg.eigh(own - least * eye)
     L = np.linalg.cholesky(np.einsum("lij,lj,lkj->lik", axes, np.maximum(sizes, least), axes))
     start = np.concatenate([L[:, corner[0], corner[1]].ravel(), np.sqrt(file[rotors])])
-    found = least_squares(lambda y: M @ bodies(y) - shift, start, jac=slope, method="trf", max_nfev=ROUNDS)
-    return bodies(found.x)
+    best, lowest = start, np.inf
+
+    def residual(y: Array) -> Array:
+        nonlocal best, lowest
+        r = M @ bodies(y) - shift
+        if r @ r < lowest:
+            best, lowest = y.copy(), float(r @ r)
+        return np.asarray(r)
+
+    with suppress(np.linalg.LinAlgError):  # near the end, the SVD of a nearly singular factor may not converge
+        least_squares(residual, start, jac=slope, method="trf", max_nfev=ROUNDS)
+    return bodies(best)
