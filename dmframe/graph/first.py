@@ -175,7 +175,7 @@ def _text(
     # a sample changes the command by w Y Gamma Y' sigma and by Lambda tau^2 sigma, times the period
     Gamma = STEP / PERIOD / np.max(rows / K_D)
     Lambda = STEP / PERIOD / np.maximum(weight + inertia, 1e-2 * weight.max()) ** 2
-    amplitude = np.array([_amplitude(joint) for joint in chain.joints])
+    amplitude = np.array([float(_number(_amplitude(joint))) for joint in chain.joints])
     rate = 1.0 + 0.8 * np.arange(chain.n) / max(1, chain.n - 1)
     limits = np.array([joint.velocity for joint in chain.joints])
     slow = min(1.0, float(np.min(SHARE * limits / np.maximum(amplitude * rate, 1e-9))))
@@ -189,20 +189,23 @@ title: {chain.name} tracks a joint path through a PID position servo
 {comments}{robot}   # {source}
 clock: {1000 * PERIOD:g} ms
 duration: 30 s
-start: {{q: {_list(centre)}}}   # inside the limits and away from singular postures
+start: {{q: [{", ".join(f"{q:.6g}" for q in centre + amplitude)}]}}   # on the path, which begins at rest
 blocks:
-  path:     {{type: sinusoid, center: {_list(centre)}, amplitude: {_list(amplitude)}, rate: {_list(slow * rate)}}}
+  # The centre is inside the limits and away from singular postures.
+  path:     {{type: sinusoid, center: {_list(centre)}, amplitude: {_list(amplitude)}, rate: {_list(slow * rate)},
+             phase: 1.570796}}
   task:     {{type: joint_tracking, alpha_bar: 3}}
   model:    {{type: regressor, friction: [viscous, coulomb], rotors: true}}
   # Each gain changes the commands by {100 * STEP:g} % of the error in one sample, at most.
   dynamics: {{type: dynamic_compensator, Gamma: {_number(Gamma)}}}
-  # Initially w is half its true value, 1/K_D.
+  # Initially w is half its true value, 1/K_D; w_P and w_I are within 10 % of theirs, K_P/K_D and K_I/K_D.
   inverse:  {{type: pid_inverse, K_c: 2, Lambda: {_list(Lambda)}, Lambda_P: 1, Lambda_I: 1,
              w: {_list(0.5 / K_D)}, w_P: 2, w_I: 0.7, w_box: {box}, w_P_box: [1, 3], w_I_box: [0.5, 2]}}
   # Placeholders, hidden from the controller: manufacturers do not publish them.
   servo:    {{type: pid_servo, K_D: {_list(K_D)}, K_P: {_list(RATIO_P * K_D)}, K_I: {_list(RATIO_I * K_D)}}}
   arm:      {{type: manipulator, viscous: {_list(VISCOUS * K_D)}, coulomb: {_list(COULOMB * K_D)},
              rotor: {_list(rotor)}}}
+# The same feedback gain without adaptation. Neither law is tuned; `dmframe design` compares tuned ones.
 baseline:
   inverse: {{type: kinematic_command}}
   model: null

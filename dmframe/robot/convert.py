@@ -16,6 +16,7 @@ from xml.parsers import expat
 import numpy as np
 
 from dmframe.common.errors import MissingError, RobotError
+from dmframe.common.version import installing
 from dmframe.robot.reduction import motion_subspace
 from dmframe.robot.urdf_numbers import INERTIA
 from dmframe.robot.xml_tree import Lines, parse_xml
@@ -71,7 +72,7 @@ def _expanded(path: Path, where: str) -> str:
         from xacrodoc import packages  # finds ROS packages without ROS, from the file's folder upwards
     except ModuleNotFoundError:
         raise MissingError(
-            f'{where}: xacro files need the package xacrodoc, which is not installed; pip install "dmframe[xacro]"'
+            f"{where}: xacro files need the package xacrodoc, which is not installed; {installing('xacro')}"
         ) from None
     try:
         packages.walk_up_from(path.resolve())
