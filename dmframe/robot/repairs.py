@@ -36,7 +36,7 @@ def repaired(root: Element, tool: str, where: str) -> list[str]:
 
 
 def impossible_inertias(root: Element, tool: str) -> Iterator[str]:
-    """Notices of links between the base and `tool` with impossible moments of inertia: one exceeds the sum of the others.
+    """Notices of links between the base and `tool` whose largest moment of inertia exceeds the sum of the others.
 
     Each link is a body of its own here; what is fixed to it may make up for it.
     """
