@@ -24,8 +24,9 @@ from dmframe.robot.chain import Joint, SerialChain, pin_configuration
 from dmframe.robot.convert import FORMATS, Element, joints_to, read_any, written
 from dmframe.robot.flange import AXES, MOVING, flange_of
 from dmframe.robot.library import find_robot, load, robots
-from dmframe.robot.repairs import repaired
-from dmframe.robot.urdf_tree import tree_faults
+from dmframe.robot.repairs import impossible_inertias, repaired
+from dmframe.robot.urdf import check_parts
+from dmframe.robot.urdf_numbers import faults_of_tree
 
 RATE: Final = 80.0
 """Bandwidth of the servo's velocity loop at the largest inertia of a joint [rad/s]."""
@@ -81,6 +82,7 @@ def first_graph(
     hold: Mapping[str, float] | None = None,
     *,
     axes: tuple[int, int] = AXES,
+    stem: str = "",
 ) -> FirstGraph:
     """A graph with which a robot runs and verifies.
 
@@ -91,6 +93,7 @@ def first_graph(
     tool : frame at the end of the arm; by default the flange
     hold : joints between the base and the tool that do not move, with their positions [rad, m]
     axes : least and largest number of moving joints of a robot file
+    stem : name of the graph's file without ending, after which a changed robot file is named; default: that of `name`
 
     Raises
     ------
@@ -104,27 +107,30 @@ def first_graph(
     path = Path(name).expanduser()
     where = f"robot {path.name}"
     file = read_any(path)
-    for element, fault in tree_faults(file.root):
-        raise RobotError(f"{where}: {element.tag} {element.get('name') or 'without a name'}: {fault}")
+    for fault in faults_of_tree(file.root, file.lines, where):
+        raise RobotError(fault)
     frame = tool or flange_of(file.root, where)
     _check_axes(file.root, frame, hold, where, axes)
     before = ElementTree.tostring(file.root)
     notes = repaired(file.root, frame, where)
     changed = file.converted or ElementTree.tostring(file.root) != before
-    urdf_name = f"{path.name.partition('.')[0]}.urdf"
+    original = path.name.partition(".")[0]
+    urdf_name = f"{original}.urdf"
     if not changed:
         text, model, chain = None, os.path.relpath(path, folder), load(str(path), tool=frame, hold=hold)
     else:
         text = written(file.root, notes)
-        if (folder / urdf_name).resolve() == path.resolve():
-            urdf_name = f"{path.stem}_arm.urdf"
+        if stem not in ("", original) or (folder / urdf_name).resolve() == path.resolve():
+            urdf_name = f"{stem or path.stem}_arm.urdf"
         model = urdf_name
+        check_parts(file.root, file.lines, where, hold=hold, tool=frame)  # with the lines of the user's file
         with tempfile.TemporaryDirectory() as place:
-            made = Path(place) / urdf_name
+            made = Path(place) / f"{original}.urdf"  # the name of the robot, and of its file in messages
             made.write_text(text, encoding="utf-8")
             chain = load(str(made), tool=frame, hold=hold)
     rotor = {joint: value for joint, value in file.armature.items() if joint in chain.joint_names}
     said = [f"tool: {frame}"] if tool is None else []
+    said += impossible_inertias(file.root, frame)
     if rotor:
         said.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
     return FirstGraph(
