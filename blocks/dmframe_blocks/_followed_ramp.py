@@ -33,6 +33,8 @@ DOUBT: Final = 1e-3
 
 LAG: Final = 0.0125
 """Default of `lag_time` [s]."""
+TIME: Final = 2.0
+EASIER: Final = 10
 RATIOS: Final = (1, 2, 4, 8, 16)
 """Time constants of the filters, relative to `lag_time`; that of a cascade without feed-forward is 1/k_p."""
 
@@ -71,10 +73,11 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
         return Limited(wished - x.queue[:, -1], {}, {})
     room, known = p.a_max * u.T, 1 if block.delay_up_to is None else u.identified
     gap = acting(block, u, x.gaps)[:, 0]
-    filters, sums, evidence = _compared(u, x, p, acted, acted + gap, known)
-    follows = named("follows", known * (x.count > 1) * (evidence + p.doubt >= 0))
-    needed = named("needed", follows * (u.dq_path - x.path_before))
-    more = ca.fmax(room / 2, ca.fabs(needed))
+    filters, sums, evidence, left = _compared(u, x, p, acted, acted + gap, known)
+    unsure = named("unsure", TIME * left / ca.fmax(u.T * x.count, TIME))
+    open_ = named("open", known * (x.count > 1) * (evidence + unsure + p.doubt >= 0))
+    needed = named("needed", open_ * (u.dq_path - x.path_before))
+    more = named("more", (evidence - unsure - p.doubt / EASIER > 0) * ca.fmax(room / 2, ca.fabs(needed)))
     low, high = ca.fmin(-room, needed - more), ca.fmax(room, needed + more)
     change = named("change", ca.fmin(ca.fmax(wished - x.queue[:, -1], low), high))
     sent = x.queue[:, -1] + change
@@ -85,7 +88,7 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
 
 def _compared(
     u: Signals, x: Signals, p: Signals, acted: SX, ramped: SX, known: SX | int
-) -> tuple[Mapping[str, SX], Mapping[str, SX], SX]:
+) -> tuple[Mapping[str, SX], Mapping[str, SX], SX, SX]:
     """The states of the filters, the sums, and the evidence after a sample; filters begin at the joints' velocity."""
     v, filters, sums = named("v_sample", (u.q - x.q_before) / u.T), dict[str, SX](), dict[str, SX]()
     ratio = u.T / p.lag_time
@@ -93,8 +96,8 @@ def _compared(
         held = getattr(x, state)
         filters[state] = known * filtered(held, sent, ratio) + (1 - known) * ca.repmat(v, 1, len(RATIOS))
         sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, ratio), v))
-    evidence = named("evidence_new", ca.sum1(least(sums["missed_r"]) - least(sums["missed_u"])))
-    return filters, sums, evidence
+    by_ramp, by_lag = named("by_ramp", ca.sum1(least(sums["missed_r"]))), named("by_lag", ca.sum1(least(sums["missed_u"])))
+    return filters, sums, named("evidence_new", by_ramp - by_lag), ca.fmin(by_ramp, by_lag)
 
 
 @operation
