@@ -21,13 +21,16 @@ The residuals of the better hypothesis have the mean square
 
     s^2 = min(sum of min S_r, sum of min S_u) / max(t, evidence_time)
 
-at the time t after the delay is known. If they are Gaussian, and correlated over tau_c, the logarithm of the likelihood
-ratio is about evidence/(4 tau_c s^2). So evidence below evidence_time s^2 decides nothing: with 2 s and a tau_c of 0.1 s
-that is a logarithm of 5.
+at the time t after the delay is known. If they are Gaussian, and correlated over tau_c, the logarithm of the
+likelihood ratio is about evidence/(4 tau_c s^2). So evidence below evidence_time s^2 decides nothing: with 2 s and a
+tau_c of 0.1 s that is a logarithm of 5.
 
-A ramp is taken as shown below -(doubt + evidence_time s^2). That is final if it is wrong, since from then on the
-command is no faster than the ramp, and nothing distinguishes them. That the robot follows is taken as shown above
-FOLLOWED doubt + evidence_time s^2: if that is wrong the command runs ahead of the ramp, and the motion shows it.
+A ramp is taken as shown below -(doubt + evidence_time s^2 + sum of S_u(0)/9). The last term is what a lag between two
+of the tau may leave, which a ramp may then imitate: for slow commands F_tau u - u is about -tau du/dt, so S_u(tau) for
+a true lag L is about (tau/L - 1)^2 S_u(0), at most a ninth of S_u(0) at the nearer of tau and 2 tau. A wrong
+conclusion is final, since from then on the command is no faster than the ramp, and nothing distinguishes them. That the
+robot follows is taken as shown above FOLLOWED doubt + evidence_time s^2: if that is wrong the command runs ahead of the
+ramp, and the motion shows it.
 """
 
 from __future__ import annotations
@@ -88,9 +91,9 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
         return Limited(wished - x.queue[:, -1], {}, {})
     room, known = p.a_max * u.T, 1 if block.delay_up_to is None else u.identified
     gap = acting(block, u, x.gaps)[:, 0]
-    filters, sums, evidence, left = _compared(u, x, p, acted, acted + gap, known)
+    filters, sums, evidence, left, between = _compared(u, x, p, acted, acted + gap, known)
     unsure = named("unsure", p.evidence_time * left / ca.fmax(u.T * x.count, p.evidence_time))
-    possible = named("possible", known * (x.count > 1) * (evidence + unsure + p.doubt >= 0))
+    possible = named("possible", known * (x.count > 1) * (evidence + unsure + between + p.doubt >= 0))
     needed = named("needed", possible * (u.dq_path - x.path_before))
     shown = named("shown", evidence - unsure - FOLLOWED * p.doubt > 0)
     more = shown * ca.fmax(room / 2, ca.fabs(needed))
@@ -104,8 +107,8 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
 
 def _compared(
     u: Signals, x: Signals, p: Signals, acted: SX, ramped: SX, known: SX | int
-) -> tuple[Mapping[str, SX], Mapping[str, SX], SX, SX]:
-    """The states of the filters, the sums, the evidence and the smaller sum after a sample.
+) -> tuple[Mapping[str, SX], Mapping[str, SX], SX, SX, SX]:
+    """The states of the filters, the sums, the evidence, the smaller sum and a ninth of S_u(0) after a sample.
 
     Filters begin at the joints' velocity.
     """
@@ -117,7 +120,8 @@ def _compared(
         sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, ratio), v))
     by_ramp, by_lag = ca.sum1(least(sums["missed_r"])), ca.sum1(least(sums["missed_u"]))
     evidence = named("evidence_new", by_ramp - by_lag)
-    return filters, sums, evidence, named("unexplained", ca.fmin(by_ramp, by_lag))
+    between = named("between", ca.sum1(sums["missed_u"][:, 0]) / 9)
+    return filters, sums, evidence, named("unexplained", ca.fmin(by_ramp, by_lag)), between
 
 
 @operation

@@ -100,8 +100,8 @@ class ExpertAggregation(AbstractBlock):
         E = min_tau (integral of |v - F_tau r|^2) - min_tau (integral of |v - F_tau u|^2)
 
     for tau = 0 and 1, 2, 4, 8 and 16 times `lag_time`. With the mean s^2 of the smaller integral over time, at least
-    over `evidence_time`, a ramp is shown by E < -(doubt + evidence_time s^2), and that the robot follows by
-    E > doubt/10 + evidence_time s^2.
+    over `evidence_time`, and N the sum of the integrals of |v - u|^2, a ramp is shown by
+    E < -(doubt + evidence_time s^2 + N/9), and that the robot follows by E > doubt/10 + evidence_time s^2.
 
     Parameters
     ----------
