@@ -114,12 +114,12 @@ class Span:
 def conserved(moves: Mapping[int, Sum]) -> list[Sum]:
     """Linear invariants: constant sums of states; the first state of each occurs in no other sum.
 
+    Returns the factors by state and power of T, one for the first state.
+
     Parameters
     ----------
     moves
         Change of each state in a sample, as a sum.
-
-    Returns the factors by state and power of T, one for the first state.
     """
     active = {state: one for state, one in moves.items() if one}
     while True:  # a term in the change of a single state never cancels

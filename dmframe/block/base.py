@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
@@ -89,6 +89,11 @@ class Equations:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @property
+    def named(self) -> dict[tuple[str, ...], SX]:
+        """All of them, by the field and the name of the output or state."""
+        return {(kind.name, name): x for kind in fields(self) for name, x in getattr(self, kind.name).items()}
 
     @property
     def moves(self) -> dict[str, SX]:

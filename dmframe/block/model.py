@@ -18,7 +18,7 @@ from dmframe.block.linalg import Inverted, inverting, nodes
 from dmframe.block.parameter import specs
 from dmframe.block.port import Adapted, Side, Signal, State
 from dmframe.block.sizes import Sizes
-from dmframe.block.steady import check_steady, same_expression, stated_equations
+from dmframe.block.steady import Steadiness, same_expression, stated_equations
 from dmframe.block.symmetric import symmetric_symbol
 from dmframe.common.errors import BlockError, nearest
 from dmframe.common.interrupts import Insistent
@@ -50,6 +50,11 @@ class BlockModel:
     def signals(self) -> tuple[Signals, Signals, Signals]:
         """u, x, p for the block's methods."""
         return signals_of(self.name, self.inputs, self.states, {**self.parameters, **self.starts}, self.robot)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of operations in its equations."""
+        return sum(map(ca.n_nodes, self.equations.expressions))
 
     @cached_property
     def moving(self) -> set[int]:
@@ -149,9 +154,17 @@ def _options(block: AbstractBlock) -> Mapping[str, str]:
 
 
 def model_block(
-    name: str, block: AbstractBlock, values: Mapping[str, np.ndarray], sizes: Sizes, robot: Any
+    name: str,
+    block: AbstractBlock,
+    values: Mapping[str, np.ndarray],
+    sizes: Sizes,
+    robot: Any,
+    unchecked: list[Steadiness] | None = None,
 ) -> BlockModel:
-    """Evaluate a block's equations on new symbols, and check them against the block's declared ports and states."""
+    """Evaluate a block's equations on new symbols, and check them against the block's declared ports and states.
+
+    With a list `unchecked`, the check at other numbers is entered there, if it was not done before.
+    """
     states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
     gains = {key for key, spec in specs(type(block)).items() if spec.form == "gain"}
     parameters = {
@@ -166,14 +179,18 @@ def model_block(
     signals = signals_of(name, inputs, states, {**parameters, **starts}, recalled, _options(block))
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
-    with inverting(inverted):
-        check_steady(
-            name,
-            block,
-            "equations() state",
-            stated_equations(equations),
-            lambda other: stated_equations(stated_by(name, other, signals, sizes)),
-        )
+
+    def again(other: AbstractBlock) -> Mapping[str, SX]:
+        with inverting(inverted):
+            return stated_equations(stated_by(name, other, signals, sizes))
+
+    steady = Steadiness(name, block, "equations() state", stated_equations(equations), again)
+    if not steady.confirmed:
+        if unchecked is None:
+            steady.check()
+            steady.confirm()
+        else:
+            unchecked.append(steady)
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(

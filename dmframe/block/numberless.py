@@ -33,7 +33,6 @@ SMALLER: Final = (0.001, 0.37, 0.9999)
 def without_numbers(block: B, owner: str) -> B:
     """A copy of the block with its options only; reading a numeric parameter raises `BlockError`.
 
-    Reading values computed from numbers raises it too: private attributes and cached properties.
     Reading a value computed from numbers, a private attribute or a cached property, raises it too.
     """
     kind, numbers = type(block), specs(type(block))

@@ -38,7 +38,16 @@ def stated_equations(equations: Equations) -> dict[str, SX]:
 
 
 def check_steady(name: str, block: AbstractBlock, statement: str, first: Mapping[str, Any], stating: Stating) -> None:
-    """Reject a method whose expressions differ at other numbers, or when it is evaluated again.
+    """Reject a method whose expressions differ at other numbers, or when it is evaluated again: `Steadiness`."""
+    found = Steadiness(name, block, statement, first, stating)
+    if not found.confirmed:
+        found.check()
+        found.confirm()
+
+
+@final
+class Steadiness:
+    """Check that a method's expressions are the same at other numbers, and when it is evaluated again.
 
     Parameters
     ----------
@@ -50,25 +59,40 @@ def check_steady(name: str, block: AbstractBlock, statement: str, first: Mapping
         The expressions of the first evaluation.
     stating
         Evaluates the method of a block.
-
-    Raises
-    ------
-    BlockError
-        The message lists the parameters that the expressions depend on as Python numbers.
     """
-    known = _Flat(first)
-    held, key = _CONFIRMED.setdefault(type(block), set()), _key(statement, block, known)
-    if key in held:
-        return
-    try:
-        for factors in (LARGER, SMALLER):
-            for other in _others(block, factors):
-                if changed := known.changed(_Flat(stating(other))):
-                    raise _unsteady(name, block, statement, changed, stating)
-    finally:
-        remade(block)  # restores the values stored by validators
-    if key is not None:
-        held.add(key)
+
+    def __init__(
+        self, name: str, block: AbstractBlock, statement: str, first: Mapping[str, Any], stating: Stating
+    ) -> None:
+        self.name, self._block, self._statement, self._stating = name, block, statement, stating
+        self._known = _Flat(first)
+        self._held, self._key = _CONFIRMED.setdefault(type(block), set()), _key(statement, block, self._known)
+
+    @property
+    def confirmed(self) -> bool:
+        """True if the same statement was checked before in this process."""
+        return self._key in self._held
+
+    def confirm(self) -> None:
+        """Keep the result of a check that raised nothing."""
+        if self._key is not None:
+            self._held.add(self._key)
+
+    def check(self) -> None:
+        """Evaluate the method of blocks with other numbers.
+
+        Raises
+        ------
+        BlockError
+            The message lists the parameters that the expressions depend on as Python numbers.
+        """
+        try:
+            for factors in (LARGER, SMALLER):
+                for other in _others(self._block, factors):
+                    if changed := self._known.changed(_Flat(self._stating(other))):
+                        raise _unsteady(self.name, self._block, self._statement, changed, self._stating)
+        finally:
+            remade(self._block)  # restores the values stored by validators
 
 
 _Key = tuple[tuple[CodeType, ...], bytes]

@@ -69,7 +69,6 @@ def additional_divisors(claim: Claim, closure: Closure) -> Iterable[Text]:
 
     Two divisors are equal if they agree at a random point of a prime field. Raises `ValueFault` if one vanishes at
     every such point.
-    vanishes at every such point.
     """
     symbols = symbols_of(claim, closure.uncertain)
     known = Tape.from_function(symbols.function("known", list(_of_equations(claim))))

@@ -46,15 +46,17 @@ class ParameterMargin:
 
     Parameters
     ----------
-    Expression in the loop's parameters, and in the symbols `Claim.starts` of states whose initial values vary; None
-        if it was decided for the graph's own numbers only.
-        graph's own numbers are all that it was decided for.
-    Without a margin: the parameters, and the symbols of varied initial values, on which it depends.
-        The parameters, and the symbols of moved starts, on which it depends, where there is no margin.
-    True if it is not among the verdict's conditions, which list it only if it fails.
-        It is not among the verdict's conditions, which name it only where it fails.
-    If it fails, `verify` would check another condition or use another method, so that nothing is decided.
-        Where it fails, `verify` would ask something else, or look in another way, so that nothing is decided.
+    checked
+        The condition at the graph's own numbers.
+    margin
+        Expression in the loop's parameters, and in the symbols `Claim.starts` of states whose initial values vary; None
+        if the condition was decided for the graph's own numbers only.
+    reads
+        Without a margin: the parameters, and the symbols of varied initial values, on which the condition depends.
+    tacit
+        True if it is not among the verdict's conditions, which list it only if it fails.
+    opens
+        If it fails, `verify` would check another condition or use another method, so that nothing is decided.
     """
 
     checked: Checked

@@ -26,12 +26,13 @@ def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
 
 
 def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
-    """Divisions and partial functions in expressions, with the operand that their domain restricts."""
+    """Divisions and partial functions in expressions, once for each operand that their domain restricts."""
     column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
     function = ca.Function("domains_of", [], [column], {"allow_free": True, **TO_READ})
     program = read(function)
     expressions: SX | None = None
-    for place, _ in restricted(program, program.sources[0]):
+    found = {(program.nodes[place].code, operand): place for place, operand in restricted(program, program.sources[0])}
+    for place in found.values():
         node = program.nodes[place]
         if expressions is None:
             expressions = function.instructions_sx()  # ten times as fast as SX.dep

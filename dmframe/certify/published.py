@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
 from importlib.resources import files
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -18,6 +19,7 @@ import casadi as ca
 from dmframe.block.certificate import SX, Lemma, Potential, Square, StableLinear, soft_clip
 from dmframe.block.model import symbols_in
 from dmframe.certify.assemble import assembled
+from dmframe.certify.canonical import canonical
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import body_matrix, is_matrix
@@ -34,7 +36,7 @@ from dmframe.prove import claim as data
 from dmframe.prove.columns import by_columns
 
 FORMAT: Final = "dmframe-certificate"
-VERSION: Final = 2
+VERSION: Final = 3
 
 ROLES: Final = {"stored": "stored", "dissipation": "dissipated", "residual": "residual"}
 """Role in the file, by the role in the claim."""
@@ -117,7 +119,9 @@ class _Writer:
         for item in symbols:
             if item["kind"] == "parameter" and item["label"] in numbers and "values" not in item:
                 item["numbers"] = numbers[item["label"]]
-        return found | {"symbols": symbols, "program": program, "vectors": vectors}
+        kappa = self._verdict.kappa
+        found |= {"symbols": symbols, "program": program, "vectors": vectors}
+        return canonical(found, kappa.chosen if kappa else Fraction(1))
 
     def _vector(self, name: str, expression: Any) -> str:
         """Enter an expression as an output of the program; return its name."""
@@ -251,7 +255,7 @@ class _Writer:
                 )
                 name, item = projection.name, dict[str, Any]()
                 true = of.loop.joined([estimate.value + ca.SX.zeros(projection.state.shape[0])])[0]
-                item["state"], item["correction"] = name, f"{name}, correction"
+                item["state"] = name
                 item["set"], item["true"] = projection.kind, self._vector(f"{name}: true value", true)
                 if isinstance(projection.set, Box):
                     ends = (projection.set.lower, projection.set.upper)
@@ -360,13 +364,10 @@ class _Writer:
         signals = {} if self._of.over_samples else signals_of(self._of)
         found = list[dict[str, Any]]()
         for item in self._verdict.statements:
-            own: dict[str, Any] = {"signal": str(item.signal), "says": item.says}
-            if item.signal in signals:
-                own["vector"] = self._vector(f"signal {item.signal}", signals[item.signal])
-            if item.estimate:
-                own["estimate"] = item.estimate
-            own["assumes"] = [str(text) for text in item.assumes]
-            found.append(own)
+            if not item.estimate:  # the checker derives from the steps what it says of an estimate
+                known = item.signal in signals
+                vector = self._vector(f"signal {item.signal}", signals[item.signal]) if known else None
+                found.append({"signal": str(item.signal), "says": item.says, "vector": vector})
         return found
 
     def _over_samples(self, claim: data.Claim) -> dict[str, Any]:
@@ -386,9 +387,9 @@ class _Writer:
 
     def _labels(self, claim: data.Claim) -> set[str]:
         """Labels that the file's statements name."""
-        states = {symbol.label for symbol in claim.symbols if symbol.kind in ("state", "time", "weight")}
+        states = {symbol.label for symbol in claim.symbols if symbol.kind in ("state", "time")}
         states |= self._moving
-        return states | {item["correction"] for _, item in self._projected} | set(claim.moves)
+        return states | {f"{item['state']}, correction" for _, item in self._projected} | set(claim.moves)
 
 
 def data_rule(term: Any) -> str:

@@ -9,8 +9,6 @@ from functools import cache, partial
 from hashlib import sha256
 from typing import Any, Final, final
 
-import casadi as ca
-
 from dmframe.block.certificate import Assumption
 from dmframe.certify.assemble import assembled
 from dmframe.certify.barriers import barrier_statements, tubes
@@ -92,7 +90,7 @@ def verify(
 
 def _size(diagram: Diagram) -> int:
     """Operations of all blocks' equations."""
-    return sum(ca.n_nodes(x) for model in diagram.models.values() for x in model.equations.expressions)
+    return sum(model.size for model in diagram.models.values())
 
 
 def _tried_units(diagram: Diagram) -> str | None:

@@ -13,14 +13,14 @@ globalThis.checker = (() => {
   const need = (condition, text) => condition || fail(text);
 
   const WANTED = -300, SIZES = [149, 269, 521], LARGEST = 1 << 22, BIG = 1n << 20000n;
-  const CONSTANT = ["parameter", "weight", "constant", "stepping"], GIVEN = ["trajectory", "period", "noise", "command"];
+  const CONSTANT = ["parameter", "constant", "stepping"], GIVEN = ["trajectory", "period", "noise", "command"];
   const KINDS = [...CONSTANT, ...GIVEN, "time", "state", "projection"];
   const BOUNDED = "sin cos tanh atan atan2 sign lt le eq not and".split(" ");
   const UNARY = "sin cos tanh atan sqrt exp log fabs sign floor not".split(" ");
   const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
   const ASSUMED = [
-    "names, rates and next values are those of the loop that runs",
-    "divisors stay away from 0, and arguments of roots and logarithms are positive",
+    "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
+    "divisors, those of derivatives too, and arguments of logarithms stay away from 0; arguments of roots are positive",
   ];
 
   // ---- Rational numbers [numerator, denominator > 0], and intervals [lower, upper] of them
@@ -171,63 +171,58 @@ globalThis.checker = (() => {
     matmul(X, Y) { return X.map((row) => Y[0].map((_, j) => this.dot(row, Y.map((line) => line[j])))); }
   }
 
-  const spread = (item, size) => {
-    need(item.length === 1 || item.length === size, "size");
-    return item.length === size ? item : Array(size).fill(item[0]);
-  };
   const matrix = (flat, rows) => Array.from({ length: rows }, (_, i) => flat.filter((_, k) => k % rows === i));
   const transposed = (rows) => rows[0].map((_, j) => rows.map((row) => row[j]));
 
   // ---- The file
 
-  const TOP = "format version about over program vectors rates assumed ";
-  const LISTS = { // keys, and those that may be missing
-    "symbols": ["label kind size", "values numbers"], "terms": ["name level role rule parts", "assumed phi"],
-    "conditions": ["name", "margin strict"], "conclusions": ["signal says assumes", "vector estimate"],
+  const LISTS = {
+    "symbols": "label kind size numbers exact", "terms": "name role rule parts assumed phi", "projections": "term state set true lower upper",
+    "masses": "weight position translations inertia rotors motion joints", "linear": "vectors rates", "ranks": "name matrix vector",
+    "steps": "rule estimate rows sizes box parts", "conditions": "name margin strict", "conclusions": "signal says vector",
   };
-  const FLOW = {
-    "cross": ["term by"], "projections": ["term state correction set true lower upper"], "linear": ["vectors rates"],
-    "masses": ["weight position translations inertia joints", "rotors motion"], "ranks": ["name matrix vector"],
-  };
-  const SAMPLE = { "steps": ["rule estimate rows sizes box parts"] };
+  const TOP = `format version about over program vectors rates assumed ${Object.keys(LISTS).join(" ")}`, FLOW = ["projections", "masses", "linear", "ranks"];
   const PARTS = { "square": "vector weight", "monotone": "weight first second scale", "potential": "vector width weight" };
-  const ROLES = { "stored": ["square", "potential"], "dissipated": ["square", "monotone"], "residual": ["square"], "cross": ["square"] };
+  const ROLES = { "stored": ["square", "potential"], "dissipated": ["square", "monotone"], "residual": ["square"] };
 
-  function keys(item, text, names, optional = "") {
-    const [must, may] = [names, optional].map((x) => x.split(" "));
-    const wrong = [...Object.keys(item).filter((x) => !must.includes(x) && !may.includes(x)), ...must.filter((x) => x && !Object.hasOwn(item, x))];
-    need(!wrong.length && ["name", "signal", "says"].every((x) => ["undefined", "string"].includes(typeof item[x])), `${text}: missing or unknown: ${wrong}`);
+  function keys(item, text, names) {
+    const must = names.split(" "), wrong = [...Object.keys(item).filter((x) => !must.includes(x)), ...must.filter((x) => !Object.hasOwn(item, x))];
+    need(!wrong.length, `${text}: missing or unknown: ${wrong}`);
+    for (const name of ["name", "signal", "says", "label"]) if (must.includes(name)) printable(item[name]);
+    for (const name of ["exact", "strict", "box"]) need(!must.includes(name) || typeof item[name] === "boolean", name);
     return item;
   }
+  const LINE = new RegExp("^( |[^\\p{C}\\p{Z}])*$", "u"), printable = (x) => (typeof x === "string" && LINE.test(x) ? x : fail("a text"));
   const whole = (x, from = 0, to = LARGEST) => {
     need(Number.isSafeInteger(x) && from <= x && x < to, `no number: ${x}`);
     return x;
   };
   const at = (items, k) => items[whole(k, 0, items.length)];
-  const list = (x) => (Array.isArray(x) ? x : fail("no list"));
+  const list = (x) => (Array.isArray(x) && x.length < LARGEST ? x : fail("no list"));
 
   class Certificate {
     constructor(data) {
-      need(data.format === "dmframe-certificate" && data.version === 2 && ["flow", "sample"].includes(data.over), "version: expected 2");
+      need(data.format === "dmframe-certificate" && data.version === 3 && ["flow", "sample"].includes(data.over), "version: expected 3; write the file again");
       this.samples = data.over === "sample";
-      const lists = { ...LISTS, ...(this.samples ? SAMPLE : FLOW) };
-      keys(data, "the file", TOP + Object.keys(lists).join(" "));
-      for (const name of Object.keys({ ...FLOW, ...SAMPLE })) this[name] = [];
-      for (const name of Object.keys(lists)) this[name] = list(data[name]).map((item) => keys(item, name, ...lists[name]));
+      keys(data, "the file", TOP);
+      for (const [name, own] of Object.entries(LISTS)) this[name] = list(data[name]).map((item) => keys(item, name, own));
+      need((this.samples ? FLOW : ["steps"]).every((name) => !this[name].length), `a rule over a ${data.over}`);
+      need(new Set(this.conclusions.map((x) => `${x.signal} ${x.says}`)).size === this.conclusions.length, "a conclusion occurs twice");
       this.graph = new Graph();
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
       need(this.places.size === this.symbols.length, "symbols");
       this.known = new Map(); // intervals of input nodes
       this.divided = [];
-      this.fixed = this.symbols.filter((item) => item.values).map((item) => item.label);
+      this.fixed = this.symbols.filter((item) => item.exact && item.size).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
       const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
       this.rows = list(data.vectors).map(([rows]) => rows);
       this.vectors = data.vectors.map(([, elements]) => elements.map((k) => at(nodes, k + 1)));
-      this.assumed = data.assumed.map(String);
+      this.assumed = data.assumed.map(printable);
       this.moves = new Map(Object.entries(data.rates).map(([label, k]) => {
         const item = this.symbol(label), kinds = this.samples ? ["state"] : ["state", "trajectory"];
         need(kinds.includes(item.kind) && this.vector(k).length === item.size, `the rate of ${label}`);
+        if (item.kind !== "state") for (const x of this.graph.reads(this.vector(k))) need(!["state", "projection"].includes(this.symbols[x].kind), `the rate of ${label}`);
         return [this.places.get(label), this.vector(k)];
       }));
       this.terms = this.terms.map((item) => this.readTerm(item));
@@ -236,13 +231,12 @@ globalThis.checker = (() => {
       need(stored.length || this.steps.length, "V");
       this.constant(stored.flat(), "V", true);
     }
-    readSymbol(item) {
-      const { label, kind, size, values, numbers } = item, found = values?.map((x) => [x, x]) ?? numbers;
-      need(typeof label === "string" && KINDS.includes(kind) && (whole(size) === 1 || !["time", "weight", "period"].includes(kind)) &&
-        (!found || (kind === "parameter" && list(found).length === size)), `${label}: its numbers`);
-      found?.forEach((pair, k) => {
-        const ends = pair.map(rational);
-        need(ends.length === 2 && !less(ends[1], ends[0]), `${label}: its numbers`);
+    readSymbol({ label, kind, size, numbers, exact }) {
+      need(KINDS.includes(kind) && (whole(size) === 1 || !["time", "period"].includes(kind)) &&
+        (numbers === null ? !exact : kind === "parameter" && list(numbers).length === size), `${label}: its numbers`);
+      numbers?.forEach((pair, k) => {
+        const ends = pair.map(rational), [low, high] = ends.map(String);
+        need(ends.length === 2 && !less(ends[1], ends[0]) && (low === high || !exact), `${label}: its numbers`);
         this.known.set(this.graph.input(this.places.get(label), k), ends);
       });
     }
@@ -265,17 +259,17 @@ globalThis.checker = (() => {
     readTerm(item) {
       need(Object.hasOwn(ROLES, item.role) && ROLES[item.role].includes(item.rule), `${item.name}: unknown rule ${item.rule} of a ${item.role} term`);
       keys(item.parts, item.name, PARTS[item.rule]);
+      if (item.assumed !== null) printable(item.assumed);
       const parts = Object.fromEntries(Object.entries(item.parts).map(([name, k]) => [name, this.vector(k)]));
-      const level = item.level === "" || this.symbol(item.level).kind === "weight", known = item.rule !== "monotone" || ["tanh", "atan"].includes(item.phi);
-      need(level && known && (!this.samples || (item.rule === "square" && !item.level && item.role !== "cross")), `${item.name}: its role`);
-      return { ...item, ...parts, weightOf: item.level ? this.inputs(item.level)[0] : ONE };
+      need((item.rule === "monotone" ? ["tanh", "atan"] : [null]).includes(item.phi) && (!this.samples || item.rule === "square"), `${item.name}: its role`);
+      return { ...item, ...parts };
     }
     symbol(label) { return this.symbols[this.places.get(label) ?? fail(label)]; }
     inputs(label) { return Array.from({ length: this.symbol(label).size }, (_, k) => this.graph.input(this.places.get(label), k)); }
     vector(k) { return at(this.vectors, k); }
-    term(k, role) {
+    stored(k) {
       const found = at(this.terms, k);
-      need(found.role === role && found.rule === "square", `${found.name}: its role`);
+      need(found.role === "stored" && found.rule === "square", `${found.name}: its role`);
       return found;
     }
     next(label) { return this.moves.get(this.places.get(label)) ?? fail(label); }
@@ -304,24 +298,22 @@ globalThis.checker = (() => {
   // ---- Terms and the identity
 
   function weighted(g, weight, vector) {
-    const n = vector.length;
-    if (weight.length !== n * n || n === 1) return spread(weight, n).map((w, k) => g.mul(w, vector[k]));
-    return matrix(weight, n).map((row) => g.dot(row, vector));
+    const n = vector.length, rows = weight.length === n ? null : matrix(weight, n);
+    need(!rows || weight.length === n * n, "size");
+    return vector.map((x, k) => (rows ? g.dot(rows[k], vector) : g.mul(weight[k], x)));
   }
 
   function termValue(of, term) {
     const g = of.graph, a = term.vector, w = term.weight;
     if (term.rule === "square") return g.dot(a, weighted(g, w, a));
     if (term.rule === "monotone") { // sum w (a - b) (phi(a / v) - phi(b / v))
-      const n = term.first.length, v = spread(term.scale, n), steps = g.minus(term.first, term.second);
-      const phi = [term.first, term.second].map((x) => x.map((x, k) => g.call(term.phi, g.div(x, v[k]))));
-      return g.dot(spread(w, n), steps.map((x, k) => g.mul(x, g.sub(phi[0][k], phi[1][k]))));
+      const { first, second, scale: v } = term, phi = [first, second].map((x) => x.map((x, k) => g.call(term.phi, g.div(x, at(v, k)))));
+      return g.dot(w, g.minus(first, second).map((x, k) => g.mul(x, g.sub(phi[0][k], phi[1][k]))));
     }
     // sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
-    return g.total(a.map((x, k) => {
-      const v = spread(term.width, a.length)[k], factor = g.mul(spread(w, a.length)[k], g.mul(v, v));
-      return g.mul(g.add(factor, factor), g.sub(root(g, x, v), ONE));
-    }));
+    need(term.width.length === a.length, "size");
+    const gains = term.width.map((v, k) => g.mul(g.mul(v, v), g.sub(root(g, a[k], v), ONE)));
+    return g.dot(w, gains.map((x) => g.add(x, x)));
   }
   const root = (g, x, v) => g.call("sqrt", g.add(ONE, g.mul(g.div(x, v), g.div(x, v))));
 
@@ -333,27 +325,18 @@ globalThis.checker = (() => {
       const value = termValue(of, term);
       if (term.role === "stored") {
         const later = () => g.sub(g.replaced([value], (k) => of.moves.get(g.a[k])?.[g.b[k]] ?? k)[0], value);
-        V = g.add(V, g.mul(term.weightOf, value));
-        total = g.add(total, g.mul(term.weightOf, g.mul(half, of.samples ? later() : of.exactRates([value])[0])));
-      } else total = g[term.role === "dissipated" ? "add" : "sub"](total, g.mul(term.weightOf, value));
+        V = g.add(V, value);
+        total = g.add(total, g.mul(half, of.samples ? later() : of.exactRates([value])[0]));
+      } else total = g[term.role === "dissipated" ? "add" : "sub"](total, value);
     }
     for (const item of of.projections) { // (estimate - true value)' W correction
-      const term = of.term(item.term, "stored"), name = item.state, estimate = of.inputs(name), correction = of.inputs(item.correction);
-      need(item.correction === `${name}, correction` && of.symbol(name).kind === "state" && item.set === "box" &&
-        of.symbol(item.correction).kind === "projection", `${name}: its projection`);
-      total = g.sub(total, g.mul(term.weightOf, g.dot(weighted(g, term.weight, term.vector), correction)));
+      const term = of.stored(item.term), name = item.state, estimate = of.inputs(name), other = `${name}, correction`, correction = of.inputs(other);
+      need(of.symbol(name).kind === "state" && item.set === "box" && of.symbol(other).kind === "projection", `${name}: its projection`);
+      total = g.sub(total, g.dot(weighted(g, term.weight, term.vector), correction));
       const true_ = of.vector(item.true), without = g.replaced(of.next(name), (k) => (correction.includes(k) ? ZERO : k));
-      found.push([`the error of ${name}`, g.minus(term.vector, g.minus(estimate, spread(true_, estimate.length)))]);
+      found.push([`the error of ${name}`, g.minus(term.vector, g.minus(estimate, true_))]);
       found.push([`the rate of ${name}`, of.exactRates(true_)]);
       found.push([`the rate of ${name}`, g.minus(g.minus(of.next(name), without), correction)]);
-    }
-    for (const { term, by } of of.cross) { // a = sum_j share_j v_j
-      let left = of.term(term, "cross").vector;
-      for (const [share, k] of by) {
-        const v = of.term(k, "dissipated").vector, factor = spread(of.vector(share), v.length);
-        left = g.minus(left, v.map((x, i) => g.mul(x, factor[i])));
-      }
-      found.push(["a cross term", left]);
     }
     for (const item of of.masses) found.push(...robot(of, item));
     for (const item of of.steps) found.push(...stepsOf(of, item));
@@ -366,10 +349,10 @@ globalThis.checker = (() => {
   function robot(of, item) {
     const g = of.graph, motion = item.motion && keys(item.motion, "a motion", "velocity acceleration gravity torque");
     const [q, moves, inertia, weight] = ["position", "translations", "inertia", "weight"].map((name) => of.vector(item[name])), n = q.length;
-    const rotors = item.rotors == null ? Array(n).fill(ZERO) : spread(of.vector(item.rotors), n);
+    const rotors = item.rotors === null ? Array(n).fill(ZERO) : of.vector(item.rotors);
     const zero = Array(n).fill(ZERO), still = [zero, zero, zero, zero];
     const [dq, ddq, gravity, torque] = motion ? ["velocity", "acceleration", "gravity", "torque"].map((name) => of.vector(motion[name])) : still;
-    need(item.joints.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "size");
+    need(n && item.joints.length === n && rotors.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
     const rows = (column) => [0, 1, 2].map((i) => [0, 1, 2, 3].map((j) => (column ? (j === 3 ? g.neg(column[i]) : ZERO) : i === j ? ONE : ZERO)));
@@ -388,9 +371,8 @@ globalThis.checker = (() => {
       });
     });
     rotors.forEach((x, i) => { M[i][i] = g.add(M[i][i], x); });
-    const found = [["the mass matrix", g.minus(weight, M.flat())]];
+    const found = [["the mass matrix", g.minus(weight, M.flat())], ["the rates of the bodies", of.exactRates([...moves, ...inertia, ...rotors])]];
     if (motion) {
-      of.constant([...moves, ...inertia, ...rotors], "inertia");
       found.push(["torque", g.minus(sums.map((x, i) => g.add(x, g.mul(rotors[i], ddq[i]))), torque)]);
       found.push(["velocity", g.minus(of.exactRates(q), dq)], ["acceleration", g.minus(of.exactRates(dq), ddq)]);
     }
@@ -424,7 +406,7 @@ globalThis.checker = (() => {
   // theta <- theta + D h e / n, n = floor + h' D h, D the gain. A box moves theta towards the true value inside it.
   function stepsOf(of, { estimate: name, rule, rows, sizes, box, parts }) {
     const g = of.graph, part = {}, own = Array.from({ length: whole(rows, 1) }, (_, k) => ` h${k} y${k}`).join("");
-    need(rule === "normalised" && typeof box === "boolean", `${name}: unknown steps ${rule}`);
+    need(rule === "normalised", `${name}: unknown steps ${rule}`);
     for (const [key, k] of Object.entries(keys(parts, name, `gain floor true${own}${box ? " lower upper" : ""}`))) {
       part[key] = of.vector(k);
       if (!/^[hy]\d/.test(key)) of.constant(part[key], name);
@@ -451,13 +433,13 @@ globalThis.checker = (() => {
 
   // The height is log2 of the sum of absolute coefficients. Bound D + H of the numerators that must vanish, and of those
   // that must not: of all divisors, and of the differences of all arguments of one function.
-  function degrees(g, nodes) {
+  function degrees(g, nodes, fixed) {
     const found = new Map(), callers = {}, add = (x) => x.reduce((a, b) => a + b, 0);
     let total = 0;
     for (const k of g.slice(nodes)) {
       const op = g.op[k], [x, y] = g.operands(k).map((x) => found.get(x));
       let own = [1, 0, 0, 0];
-      if (op === NUMBER) own = g.numbers[g.a[k]].flatMap((n) => [0, n.toString(2).length]);
+      if (op === NUMBER || fixed.has(k)) own = (fixed.get(k) ?? g.numbers[g.a[k]]).flatMap((n) => [0, n.toString(2).length]);
       else if (op === ADD || op === SUB) own = [Math.max(x[0] + y[2], y[0] + x[2]), Math.max(x[1] + y[3], y[1] + x[3]) + 1, x[2] + y[2], x[3] + y[3]];
       else if (op === MUL) own = x.map((a, i) => a + y[i]);
       else if (op === INV) {
@@ -580,14 +562,15 @@ globalThis.checker = (() => {
   // log2 of the error bound and the number of points; refutes at a point where an equality does not hold.
   function identity(of) {
     const found = equalities(of), all = [...found, [0, of.vectors.flat()], [0, of.divided]].flatMap(([, nodes]) => nodes);
-    const total = Math.log2(degrees(of.graph, all)), size = SIZES.find((size) => total + 3 - size < -64);
+    const fixed = new Map(of.fixed.flatMap((label) => of.inputs(label)).map((k) => [k, of.known.get(k)[0]]));
+    const total = Math.log2(degrees(of.graph, all, fixed)), size = SIZES.find((size) => total + 3 - size < -64);
     need(size, "size");
     const error = 3 + total - size;
     let points = 0;
     for (let tried = 0; points * error > WANTED; need(tried++ < 40, "a divisor vanishes")) {
       const point = new Point(of, randomPrime(size), size, new Map());
       try {
-        for (const label of of.fixed) for (const k of of.inputs(label)) point.given.set(k, point.residue(of.known.get(k)[0]));
+        for (const [k, value] of fixed) point.given.set(k, point.residue(value));
         point.at(all);
         for (const [name, nodes] of found) if (point.at(nodes).some((x) => x) === (name !== "V")) refute(`${name} does not hold`);
         points++;
@@ -638,9 +621,9 @@ globalThis.checker = (() => {
       return Math.min(1, ...values.map(([[n]]) => (n > 0n) - (n < 0n)));
     }
     inside(name, lower, true_, upper) {
-      const estimate = this.of.inputs(name), [low, high] = [lower, upper].map((k) => this.bounds(spread(this.of.vector(k), estimate.length)));
+      const estimate = this.of.inputs(name), [low, high, value] = [lower, upper, true_].map((k) => this.bounds(this.of.vector(k)));
       if (!low || !high || low.some((x, k) => less(high[k][0], x[1]))) refute(`${name}: its box`);
-      const value = this.bounds(spread(this.of.vector(true_), estimate.length));
+      need([low, high, value ?? low].every((x) => x.length === estimate.length), "size");
       if (!value) this.assumed.push(`${name}: its true value is inside the box`);
       estimate.forEach((node, k) => {
         if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value`);
@@ -650,36 +633,37 @@ globalThis.checker = (() => {
       });
     }
     weight(term) {
-      const { rule, name, weight: W } = term, n = term.vector?.length ?? 0, sign = this.sign(W, rule === "square" ? n : 0);
-      if (rule === "square" && term.role !== "cross" && !this.bounds(W)) {
-        for (const item of this.of.masses) if (W.length === n * n && String(this.of.vector(item.weight)) === String(W)) return this.mass(item);
-        if (term.assumed) {
-          this.assumed.push(`${name}: its weight is positive: ${term.assumed}`);
-          return 1;
-        }
+      const { rule, name, weight: W } = term, n = rule === "square" ? term.vector.length : 0;
+      if (n && !this.bounds(W)) {
+        if (this.of.masses.some((item) => W.length === n * n && String(this.of.vector(item.weight)) === String(W))) return 1;
+        if (term.assumed) return this.assumed.push(`${name}: its weight is uniformly positive: ${term.assumed}`) && 1;
       }
-      return rule === "square" || this.sign(term.scale ?? term.width) === 1 ? sign : -1;
+      return rule === "square" || this.sign(term.scale ?? term.width) === 1 ? this.sign(W, n) : -1;
     }
-    // A mass matrix is positive definite if each link's pseudo-inertia is, and no rotor's inertia is negative.
-    mass(item) {
-      const { of } = this, inertia = of.vector(item.inertia);
-      if (item.rotors != null && this.sign(of.vector(item.rotors)) < 0) return -1;
-      if (!this.bounds(inertia)) this.assumed.push("the load is a rigid body");
-      else for (let k = 0; k < inertia.length; k += 10) if (this.sign(pseudo(of.graph, inertia.slice(k, k + 10)).flat(), 4) < 1) return -1;
-      return 1;
+    // A mass matrix is positive definite if each pseudo-inertia is, and no rotor's inertia is negative. What a trajectory,
+    // the load, adds to a body is assumed to be a body.
+    bodies({ inertia, rotors }) {
+      const { of } = this, g = of.graph, values = of.vector(inertia), load = (k) => of.symbols[k].kind === "trajectory";
+      for (let k = 0; k < values.length; k += 10) {
+        const S = pseudo(g, values.slice(k, k + 10)).flat(), loads = [...g.reads(S)].filter(load).map((k) => of.symbols[k].label);
+        for (const label of loads.sort()) this.assumed.push(`what ${label} adds to a body of the robot is a rigid body`);
+        if (this.sign(g.replaced(S, (x) => (load(g.a[x]) ? ZERO : x)), 4) < 1) refute("a body of the robot");
+      }
+      if (rotors !== null && this.sign(of.vector(rotors)) < 0) refute("a rotor of the robot");
     }
     // Checks all signs; returns the terms with a positive weight.
     check() {
       const { of } = this, strict = new Set();
+      for (const item of of.masses) this.bodies(item);
       for (const term of of.terms.filter((item) => item.role !== "residual")) {
         const sign = this.weight(term);
         if (sign < (term.role === "stored" ? 1 : 0)) refute(`${term.name}: its sign`);
         if (sign === 1) strict.add(term);
       }
       for (const item of of.projections) {
-        const term = of.term(item.term, "stored"), name = item.state;
+        const term = of.stored(item.term), name = item.state;
         this.assumed.push(`${name}: it starts in its box, and its law is this projection`);
-        need([1, term.vector.length].includes(term.weight.length), `${name}: its metric`);
+        need(term.vector.length === term.weight.length, `${name}: its metric`);
         this.inside(name, item.lower, item.true, item.upper);
       }
       for (const { parts, box, estimate } of of.steps) {
@@ -687,37 +671,11 @@ globalThis.checker = (() => {
         if (box) this.inside(estimate, parts.lower, parts.true, parts.upper);
       }
       for (const item of of.conditions) {
-        const margin = item.margin == null ? [] : of.vector(item.margin), text = `condition: ${item.name}`;
+        const margin = item.margin === null ? [] : of.vector(item.margin), text = `condition: ${item.name}`;
         if (!margin.length || !this.bounds(margin)) this.assumed.push(text);
-        else if (this.sign(margin) < (item.strict === false ? 0 : 1)) refute(text);
+        else if (this.sign(margin) < Number(item.strict)) refute(text);
       }
       return strict;
-    }
-    // The least kappa with which the dissipation dominates the cross terms; null without any.
-    // c |sum a_j v_j|^2 <= c max(sum_j a_j^2 / W_j) sum_j |v_j|^2_(W_j), by the inequality of Cauchy.
-    kappa(strict) {
-      const { of } = this, g = of.graph, groups = [];
-      for (const { term, by } of of.cross) {
-        const c = of.term(term, "cross"), squares = by.map(([, k]) => of.term(k, "dissipated")), used = new Set(squares), n = c.vector.length, level = squares[0]?.level;
-        need(level !== undefined && used.size === by.length && squares.every((item) => item.level === level) && !c.level && c.weight.length === 1, "a cross term");
-        if (!squares.every((item) => strict.has(item))) refute("a cross term");
-        const ratios = squares.map((item, j) => {
-          const W = spread(item.weight, n);
-          return spread(of.vector(by[j][0]), n).map((x, i) => g.div(g.mul(c.weight[0], g.mul(x, x)), W[i]));
-        });
-        const bounds = this.bounds(transposed(ratios).map((x) => g.total(x))) ?? refute("a cross term");
-        const largest = most(bounds.map((x) => x[1]));
-        let group = groups.find((item) => [...used].some((x) => item.used.has(x)));
-        if (!group) groups.push((group = { used, sum: zeroQ }));
-        need(group.used.size === used.size && [...used].every((x) => group.used.has(x)), "a cross term");
-        group.sum = sum(group.sum, largest);
-        if (!level && !less(group.sum, [1n, 1n])) refute("a cross term");
-      }
-      const declared = of.cross.map((item) => of.term(item.term, "cross"));
-      for (const term of of.terms) if (term.role === "cross" && !declared.includes(term)) refute("a cross term");
-      if (!groups.length) return null;
-      const [n, d] = most(groups.map((item) => item.sum));
-      return d === 1n ? `${n}` : `${n}/${d}`;
     }
   }
 
@@ -758,8 +716,8 @@ globalThis.checker = (() => {
       this.open = units(this.columns.length);
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
       this.inverse = (x) => first.inverse(x);
-      this.squares = [...strict].filter((term) => term.role === "dissipated" && term.rule === "square").map((term) => term.vector);
-      this.wanted = of.conclusions.filter((item) => item.vector != null && of.vector(item.vector).length);
+      this.squares = [...strict].filter((term) => term.role === "dissipated" && term.rule === "square").flatMap((term) => term.vector);
+      this.wanted = of.conclusions.filter((item) => item.vector !== null && of.vector(item.vector).length);
       this.close();
       this.sources = this.premises();
       this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => of.vector(x.vector)), ...this.sources.map((x) => x[1])].flat().length;
@@ -771,8 +729,11 @@ globalThis.checker = (() => {
       while (this.pool.length < count) this.pool.push(new Point(this.of, this.p, this.size, this.given));
       return this.pool.slice(0, count).map((point) => point.at(nodes));
     }
-    equal(x, y) {
-      return x.length === y.length && !y.includes(NONE) && this.sample([...x, ...y], 2).every((row) => row.every((value, k) => value === row[(k + x.length) % row.length]));
+    // True if each of these nodes is one of the others.
+    among(nodes, others) {
+      const columns = (x) => transposed([x, ...this.sample(x, 2)]).map(([, ...values]) => String(values));
+      const known = others.filter((x) => x !== NONE), values = known.length ? columns(known) : [];
+      return columns(nodes).every((x) => values.includes(x));
     }
     // Corrections of projections are bounded where their nominal rates are, which must not depend on one another.
     bounded(nodes, within = []) {
@@ -781,7 +742,7 @@ globalThis.checker = (() => {
       const { of } = this, own = within[within.length - 1];
       return [...this.g.reads(nodes)].every((k) => {
         if (of.symbols[k].kind !== "projection") return true;
-        const state = of.projections.find((item) => item.correction === of.symbols[k].label)?.state;
+        const state = of.projections.find((item) => `${item.state}, correction` === of.symbols[k].label)?.state;
         return state !== undefined && (state === own || (!within.includes(state) && this.bounded(of.next(state), [...within, state])));
       });
     }
@@ -817,24 +778,25 @@ globalThis.checker = (() => {
       const { g, of } = this, z = item.vectors.map((k) => of.vector(k));
       need(item.rates.length === z.length, "size");
       return z.flatMap((vector, i) => {
-        const row = item.rates[i].map((k, j) => spread(of.vector(k), z[j].length));
-        need(row.length === z.length && z.every((x) => x.length === vector.length), "size");
+        const row = item.rates[i].map((k) => of.vector(k));
+        need(row.length === z.length && [...z, ...row].every((x) => x.length === vector.length), "size");
         return of.rates(vector).map((rate, k) => (rate === NONE ? NONE : row.reduce((x, factor, j) => g.sub(x, g.mul(factor[k], z[j][k])), rate)));
       });
     }
     // True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals.
-    stable({ vectors, rates }) {
-      const { of, g, signs } = this, n = of.vector(vectors[0]).length, [[a, b], [c, d] = []] = rates.map((row) => row.map((k) => spread(of.vector(k), n)));
-      const size = rates.length, two = size === 2 && rates.every((row) => row.length === 2);
+    stable({ rates }) {
+      const { of, g, signs } = this, size = rates.length, two = size === 2 && rates.every((row) => row.length === 2);
+      if (!two && rates.flat().length !== 1) return false;
+      const [[a, b], [c, d] = []] = rates.map((row) => row.map((k) => of.vector(k)));
       const nodes = two ? a.flatMap((x, k) => [g.neg(g.add(x, d[k])), g.sub(g.mul(x, d[k]), g.mul(b[k], c[k]))]) : a.map((x) => g.neg(x));
       const found = signs.bounds(nodes, two ? new Map() : signs.boxes);
-      return (two || size === 1) && found !== null && found.every((x) => positive(x[0]));
+      return found !== null && found.every((x) => positive(x[0]));
     }
     // Signals of which the vanishing implies that of others, these, and what this assumes.
     premises() {
       const { g, of } = this, found = this.linear.map((item) => [this.disturbance(item), item.vectors.flatMap((k) => of.vector(k))]);
       for (const { rule, vector: a, width } of of.terms) { // a / sqrt(1 + (a / v)^2) has the zeros of a
-        if (rule === "potential") found.push([a.map((x, k) => g.div(x, root(g, x, spread(width, a.length)[k]))), a]);
+        if (rule === "potential") found.push([a.map((x, k) => g.div(x, root(g, x, width[k]))), a]);
       }
       for (const item of of.ranks) {
         const flat = of.vector(item.matrix), R = matrix(flat, of.rows[item.matrix]), b = of.vector(item.vector), [values] = this.sample(flat, 1);
@@ -855,7 +817,7 @@ globalThis.checker = (() => {
     // Its square is integrable and its derivative bounded (Barbalat's lemma), it is the derivative of a vanishing signal
     // and its own derivative is bounded, or vanishing signals make it.
     vanishes(nodes) {
-      const { of } = this, ends = this.squares.some((x) => this.equal(nodes, x)) || this.gone.some((x) => this.equal(nodes, of.rates(x)));
+      const { of } = this, ends = this.among(nodes, this.squares) || this.among(nodes, this.gone.flatMap((x) => of.rates(x)));
       return (ends && this.bounded(of.rates(nodes))) || this.made(nodes);
     }
     check() {
@@ -874,7 +836,7 @@ globalThis.checker = (() => {
     }
     follows(says, nodes) {
       if (says === "is bounded") return this.bounded(nodes);
-      if (says === "is square-integrable") return this.squares.some((x) => this.equal(nodes, x));
+      if (says === "is square-integrable") return this.among(nodes, this.squares);
       return says === "goes to zero" && this.vanishes(nodes);
     }
   }
@@ -883,33 +845,34 @@ globalThis.checker = (() => {
   const fromSteps = ({ estimate: name, box }) => [
     ...(box ? [`${name} is bounded`] : []),
     `|${name} - true value|^2 in the metric gain^-1 does not rise where eta is zero`,
-    `the error of ${name} in the direction of its rows is square-summable where eta is`,
+    `h'(${name} - true value) / sqrt(n) is square-summable where eta / sqrt(n) is`,
   ];
 
   function proved(data) {
-    const of = new Certificate(data), signs = new Signs(of), [error, points] = identity(of), strict = signs.check(), kappa = signs.kappa(strict);
+    const of = new Certificate(data), signs = new Signs(of), [error, points] = identity(of), strict = signs.check();
     const named = (items) => items.map((item) => `${item.signal} ${item.says}`);
-    let shown = [], left = of.conclusions;
-    if (of.samples) left = left.filter((item) => item.estimate == null);
-    else if (!of.terms.some((term) => term.role === "residual")) {
+    let shown = of.steps.flatMap(fromSteps);
+    if (!of.samples && !of.terms.some((term) => term.role === "residual")) {
       const [once, again] = [0, 1].map(() => new Conclusions(of, signs, strict).check()); // with another prime
-      shown = once.filter((item) => again.includes(item));
-      left = left.filter((item) => !shown.includes(item));
+      shown = named(once.filter((item) => again.includes(item)));
     }
-    const labels = (kinds) => of.symbols.filter((item) => kinds.includes(item.kind)).map((item) => item.label).join(", ");
-    const given = of.samples ? "" : labels(GIVEN), still = labels(["constant", "stepping"]);
-    const weights = [...new Set(of.terms.map((item) => item.level))].filter((x) => x).sort().join(", ");
-    const stated = [given && `bounded: ${given}`, still && `constant: ${still}`, weights && `above kappa_above, and positive: ${weights}`];
+    const labels = (kinds, more = () => true) => of.symbols.filter((item) => kinds.includes(item.kind) && more(item)).map((item) => item.label).join(", ");
+    const given = of.samples ? "" : labels(GIVEN), still = labels(CONSTANT);
+    const exact = (item) => of.inputs(item.label).every((k) => of.known.has(k) && String(of.known.get(k)[0]) === String(of.known.get(k)[1]));
+    const some = of.samples ? "" : labels(CONSTANT, (item) => !exact(item));
+    const stated = [given && `bounded: ${given}`, still && `constant: ${still}`, some && `conclusions are for almost all values of: ${some}`];
     return {
       status: "re-proved",
       statement: of.samples ? "V(next) - V" : "dV/dt",
       log2_error: Math.round(error),
       points,
-      robot: of.masses.map((item) => `a weight is the mass matrix of a chain of ${item.joints.length} rigid bodies${item.motion ? "; its acceleration follows from the torque, for all masses" : ""}`),
-      "kappa_above": kappa,
+      robot: of.masses.map(({ joints, motion }) => {
+        const reads = motion && [...of.graph.reads(of.vector(motion.torque))].map((k) => of.symbols[k].label).sort().join(", ");
+        return `a chain of ${joints.length} rigid bodies` + (motion ? `, whose acceleration follows from a torque of ${reads}` : "");
+      }),
       "only_at_exact_values_of": of.fixed.sort(),
-      conclusions: of.samples ? of.steps.flatMap(fromSteps) : named(shown),
-      not_checked: named(left),
+      conclusions: shown,
+      not_checked: named(of.conclusions).filter((text) => !shown.includes(text)),
       assumed: [...ASSUMED, ...stated.filter((x) => x), ...new Set(signs.assumed), ...of.assumed],
     };
   }
@@ -929,11 +892,21 @@ globalThis.checker = (() => {
 if (typeof module === "object" && typeof require === "function") {
   globalThis.crypto ??= require("crypto").webcrypto;
   module.exports = globalThis.checker;
+  // The data of a text in which no key occurs twice in one object: it has as many keys as the data.
+  const read = (text) => {
+    let count = -1;
+    const data = JSON.parse(text, function (_, value) {
+      if (!Array.isArray(this)) count++;
+      return value;
+    });
+    if (text.match(/"(\\.|[^"\\])*"\s*:?/g)?.filter((token) => token.endsWith(":")).length !== count) throw new Error("a key occurs twice in one object");
+    return data;
+  };
   if (require.main === module) {
     const paths = process.argv.slice(2).filter((x) => x !== "--json");
     let result = { status: "refused", reason: "usage: node check.js FILE [--json]" };
     try {
-      if (paths.length === 1) result = globalThis.checker.check(JSON.parse(require("fs").readFileSync(paths[0], "utf8")));
+      if (paths.length === 1) result = globalThis.checker.check(read(require("fs").readFileSync(paths[0], "utf8")));
     } catch (fault) {
       result.reason = String(fault.message);
     }

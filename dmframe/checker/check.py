@@ -8,7 +8,7 @@ Exit status: 0 re-proved, 1 refuted, 2 refused (no valid certificate, or a rule 
 A certificate contains symbols x (states, trajectories, parameters), a program of their functions, the rates dx/dt (or
 the next values x+), and terms. It states that
 
-    V = 1/2 sum_k w_k T_k,   dV/dt = - sum w_k d_k + sum cross terms + sum residual + projection terms
+    V = 1/2 sum_k T_k,   dV/dt = - sum d_k + sum residual + projection terms
 
 holds identically, or the same for V(x+) - V(x). T_k and d_k are formed from vectors and weights by a rule. The file
 contains no value of V and no derivative. In the order of this program:
@@ -17,7 +17,7 @@ contains no value of V and no derivative. In the order of this program:
 2. The certificate, its terms, its robot, and its steps from sample to sample.
 3. The identity. A fraction of polynomials that is not identically zero vanishes at a random point with a probability of
    at most 8 (D + H) / 2^bits, where D and H bound its degree and its coefficients.
-4. Signs of weights, boxes and conditions, and the small gain, in intervals.
+4. Signs of weights, boxes and conditions, in intervals.
 5. Conclusions: signals that are bounded, and those that go to zero.
 """
 
@@ -26,10 +26,12 @@ import operator
 import secrets
 import sys
 from fractions import Fraction
+from functools import partial
 from math import log2
+from types import SimpleNamespace
 
 SIZES, WANTED, LARGEST, LONGEST = (149, 269, 521), -300, 10**6, 2 * 10**7
-CONSTANT = {"parameter", "weight", "constant", "stepping"}
+CONSTANT = {"parameter", "constant", "stepping"}
 GIVEN = {"trajectory", "period", "noise", "command"}
 KINDS = CONSTANT | GIVEN | {"time", "state", "projection"}
 ARITHMETIC = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
@@ -37,8 +39,8 @@ BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
 UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
 BINARY = set("fmin fmax lt le eq and if_else_zero atan2".split())
 ASSUMED = (
-    "names, rates and next values are those of the loop that runs",
-    "divisors stay away from 0, and arguments of roots and logarithms are positive",
+    "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
+    "divisors, those of derivatives too, and arguments of logarithms stay away from 0; arguments of roots are positive",
 )
 
 
@@ -90,7 +92,12 @@ class Node:
         return self * Node("inv", other)
 
 
+def number(value):
+    return ZERO if value == 0 else ONE if value == 1 else Node("number", value=Fraction(value))
+
+
 ZERO, ONE = Node("number", value=Fraction(0)), Node("number", value=Fraction(1))
+HALF = number(Fraction(1, 2))
 SLOPES = {
     "inv": lambda f, x: ZERO - f * f,
     "sin": lambda f, x: Node("cos", x),
@@ -101,10 +108,6 @@ SLOPES = {
     "exp": lambda f, x: f,
     "log": lambda f, x: ONE / x,
 }
-
-
-def number(value):
-    return ZERO if value == 0 else ONE if value == 1 else Node("number", value=Fraction(value))
 
 
 def below(nodes, known=()):
@@ -158,17 +161,17 @@ def evaluate(nodes, ring, values):
     return [values[node] for node in nodes]
 
 
+def each(function, *vectors):
+    """A function of the elements of vectors of one size."""
+    return [function(*elements) for elements in zip(*vectors, strict=True)]
+
+
+plus, minus, times, over = (partial(each, operation) for operation in ARITHMETIC.values())
+
+
 def dot(left, right):
-    first, *rest = (a * b for a, b in zip(left, right, strict=True))
+    first, *rest = times(left, right)
     return sum(rest, first)
-
-
-def plus(left, right):
-    return [a + b for a, b in zip(left, right, strict=True)]
-
-
-def minus(left, right):
-    return [a - b for a, b in zip(left, right, strict=True)]
 
 
 def product(rows, others):
@@ -179,17 +182,16 @@ def flat(rows):
     return [x for row in rows for x in row]
 
 
-def spread(item, size):
-    need(len(item) in (1, size), "a diagonal: expected one number, or one for each element")
-    return item * size if len(item) == 1 else item
-
-
 def weighted(weight, vector):
-    """W a, with W one number, a diagonal, or a matrix column by column."""
+    """W a, with W a diagonal, or a matrix column by column."""
     n = len(vector)
-    if len(weight) == n * n:
-        return [dot(weight[i::n], vector) for i in range(n)]
-    return [w * x for w, x in zip(spread(weight, n), vector, strict=True)]
+    return times(weight, vector) if len(weight) == n else each(lambda row: dot(row, vector), matrix(weight, n))
+
+
+def matrix(elements, rows):
+    """The rows of a matrix that is given column by column."""
+    need(type(rows) is int and rows > 0 and len(elements) % rows == 0, "a matrix: its number of rows")
+    return [elements[i::rows] for i in range(rows)]
 
 
 class Field:
@@ -212,15 +214,18 @@ class Field:
             raise Undecided("a divisor vanishes")
         return pow(a, -1, self.p)
 
+    def number(self, value):
+        return value.numerator * self.inverse(value.denominator) % self.p
+
     def call(self, node, *given):
-        name = node.name
+        name, circle = node.name, node.name in ("sin", "cos")
         if name == "number":
-            return node.value.numerator * self.inverse(node.value.denominator) % self.p
-        if name == "symbol" or (self.frozen and name in BOUNDED - {"sin", "cos"}):
+            return self.number(node.value)
+        if name == "symbol" or (self.frozen and name in BOUNDED and not circle):
             return self.random(node)
         if name == "inv":
             return self.inverse(*given)
-        if name in ("sin", "cos"):
+        if circle:
             return self.turned(name, 1, node.of[0]) if self.frozen else self.turned(name, *given, self.size(*given))
         return self.random(name, self.size(*given)) if name == "fabs" else self.random(name, *given)
 
@@ -274,36 +279,27 @@ class Interval:
 
 # ---- The file --------------------------------------------------------------------------------------------------------
 
-TOP = "format version about over program vectors rates assumed"
-LISTS = {
-    "symbols": "label kind size values? numbers?",
-    "terms": "name level role rule parts assumed? phi?",
-    "conditions": "name margin? strict?",
-    "conclusions": "signal says assumes vector? estimate?",
-}
-FLOW = {
-    "cross": "term by",
-    "projections": "term state correction set true lower upper",
-    "masses": "weight position translations inertia rotors? joints motion?",
-    "linear": "vectors rates",
-    "ranks": "name matrix vector",
-}
-SAMPLE = {"steps": "rule estimate rows sizes box parts"}
-RULES = {
-    "stored": {"square": "vector weight", "potential": "vector width weight"},
-    "dissipated": {"square": "vector weight", "monotone": "weight first second scale"},
-    "residual": {"square": "vector weight"},
-    "cross": {"square": "vector weight"},
-}
+RULES = {"square": {"stored", "dissipated", "residual"}, "monotone": {"dissipated"}, "potential": {"stored"}}
+PARTS = {"square": "vector weight", "monotone": "weight first second scale", "potential": "vector width weight"}
 
 
-def keys(data, names, where):
-    """The object, with None for keys that may be missing; refuses other keys."""
-    need(type(data) is dict, f"{where}: expected an object")
-    must, may = ({x.rstrip("?") for x in names.split() if x.endswith("?") == free} for free in (False, True))
-    wrong = must - data.keys() | data.keys() - must - may
-    need(not wrong, f"{where}: missing or unknown: {', '.join(sorted(wrong))}")
-    return dict.fromkeys(may) | data
+def read(value, shape, where):
+    """A value of a shape: an object with these keys, a list, one of a set, (shape,) or null, a type, or a function."""
+    if isinstance(shape, dict):
+        wrong = sorted(value.keys() ^ shape.keys())
+        need(not wrong, f"{where}: missing or unknown: {', '.join(wrong)}")
+        return SimpleNamespace(**{key: read(value[key], own, key) for key, own in shape.items()})
+    if isinstance(shape, list):
+        need(type(value) is list, f"{where}: expected a list")
+        return [read(item, shape[0], where) for item in value]
+    if isinstance(shape, tuple):
+        return None if value is None else read(value, shape[0], where)
+    if isinstance(shape, set | type):
+        found = type(value) in (str, int) and value in shape if isinstance(shape, set) else type(value) is shape
+        fits = value.isprintable() if type(value) is str else type(value) is not int or 0 <= value < LARGEST
+        need(found and fits, f"unknown {where}: {value!r:.40}")
+        return value
+    return shape(value)
 
 
 def at(items, k, where):
@@ -320,59 +316,73 @@ def rational(text):
 
 
 class Certificate:
-    """A file that has been read: vectors of nodes, terms, and statements about them."""
+    """A file that has been read: its lists contain nodes in place of the numbers of vectors and terms."""
 
     def __init__(self, data):
-        need(type(data) is dict and data.get("format") == "dmframe-certificate", "no certificate of dmframe")
-        need(type(data.get("version")) is int and data["version"] == 2, "version: expected 2; write the file again")
-        need(data.get("over") in ("flow", "sample"), "over: expected flow or sample")
-        self.samples = data["over"] == "sample"
-        lists = LISTS | (SAMPLE if self.samples else FLOW)
-        keys(data, " ".join((TOP, *lists)), "the file")
-        need(all(type(data[name]) is list for name in (*lists, "vectors", "assumed")), "the file: expected lists")
-        lists = {name: [keys(x, own, name) for x in data[name]] for name, own in lists.items()}
-        self.lists = dict.fromkeys((*FLOW, *SAMPLE), ()) | lists
-        self.symbols, self.kinds, self.fixed, self.numbers, self.derivatives, self.divided = {}, {}, {}, {}, {}, []
-        self.assumed = list(map(str, data["assumed"]))
-        texts = [x for item in lists["conclusions"] for x in (item["signal"], item["says"])]
-        texts += [item["name"] for item in (*lists["conditions"], *lists["terms"], *lists.get("ranks", ()))]
-        need(all(type(x) is str for x in texts), "a name: expected a text")
-        need(sum(abs(item["size"]) for item in lists["symbols"]) < LARGEST, "symbols: too many elements")
-        for item in lists["symbols"]:
-            self.read_symbol(**item)
-        program = self.read_program(**keys(data["program"], "operations code a b constants", "program"))
-        places = [ZERO, *program]  # -1 is the place of a zero
-        self.vectors = [(rows, [at(places, k + 1, "a vector") for k in own]) for rows, own in data["vectors"]]
-        self.rates = {}
-        for label, k in data["rates"].items():
-            need(self.kinds.get(label) in ("state", "state" if self.samples else "trajectory"), f"{label}: a rate")
-            self.rates |= dict(zip(self.symbols[label], self.vector(k), strict=True))
-        self.terms = [Term(self, **item) for item in lists["terms"]]
-        stored = [node for term in self.terms if term.role == "stored" for part in term.parts.values() for node in part]
-        need(stored or self.lists["steps"], "V has no term")
+        self.symbols, self.kinds, self.numbers, self.fixed, self.rates, self.derivatives = ({} for _ in range(6))
+        self.nodes, self.divided, self.vectors, self.terms, vector = [ZERO], [], [], [], self.vector
+        joint = {"kind": {"revolute", "prismatic"}, "axis": [rational], "rotation": [rational]}
+        motion = dict.fromkeys(("velocity", "acceleration", "gravity", "torque"), vector)
+        chain = dict.fromkeys(("weight", "position", "translations", "inertia"), vector)
+        box = dict.fromkeys(("true", "lower", "upper"), vector)
+        steps = {"rule": {"normalised"}, "estimate": self.state, "rows": int, "sizes": [int], "box": bool}
+        shape = {  # in the order of reading
+            "format": {"dmframe-certificate"},
+            "version": {3},
+            "about": dict,
+            "over": {"flow", "sample"},
+            "symbols": [self.read_symbol],
+            "program": self.read_program,
+            "vectors": [self.read_vector],
+            "rates": self.read_rates,
+            "terms": [self.read_term],
+            "projections": [{"term": self.stored_square, "state": self.state, "set": {"box"}, **box}],
+            "masses": [{**chain, "rotors": (vector,), "motion": (motion,), "joints": [joint]}],
+            "linear": [{"vectors": [vector], "rates": [[vector]]}],
+            "ranks": [{"name": str, "matrix": self.matrix, "vector": vector}],
+            "steps": [{**steps, "parts": lambda parts: {name: vector(k) for name, k in parts.items()}}],
+            "conditions": [{"name": str, "margin": (vector,), "strict": bool}],
+            "conclusions": [{"signal": str, "says": str, "vector": (vector,)}],
+            "assumed": [str],
+        }
+        self.__dict__ = vars(read(data, shape, "the file")) | self.__dict__
+        self.samples = self.over == "sample"
+        flow, sample = (self.projections, self.masses, self.linear, self.ranks), (self.steps,)
+        need(not any(flow if self.samples else sample), f"a rule that is unknown over a {self.over}")
+        need(not self.samples or all(x.rule == "square" for x in self.terms), "a rule that is unknown over a sample")
+        for node, rate in self.rates.items():
+            kind, seen = self.kinds[node.value[0]], {self.kinds[x.value[0]] for x in symbols([rate])}
+            given = kind == "trajectory" and not self.samples and seen <= CONSTANT | GIVEN | {"time"}
+            need(kind == "state" or given, f"{node.value[0]}: a rate")
+        self.stated = [f"{item.signal} {item.says}" for item in self.conclusions]
+        need(len({*self.stated}) == len(self.stated), "a conclusion occurs twice")
+        stored = [node for term in self.terms if term.role == "stored" for node in flat(vars(term.parts).values())]
+        need(stored or self.steps, "V has no term")
         for node in symbols(stored):
             moves = node in self.rates or (self.kinds[node.value[0]] == "time" and not self.samples)
             need(moves or self.constant([node]), f"V depends on {node.value[0]}, which has no rate")
 
-    def read_symbol(self, label, kind, size, values, numbers):
-        need(type(label) is str and label not in self.symbols and kind in KINDS, f"{label}: twice, or an unknown kind")
-        need(type(size) is int and 0 <= size < LARGEST, f"{label}: its size")
-        need(size == 1 or kind not in ("time", "weight", "period"), f"{label}: expected one number")
-        nodes = self.symbols[label] = [Node("symbol", value=(label, k)) for k in range(size)]
-        self.kinds[label] = kind
-        need(kind == "parameter" or (values is None and numbers is None), f"{label}: numbers of a {kind}")
-        if values is not None:
-            self.fixed |= dict(zip(nodes, map(rational, values), strict=True))
-            numbers = [[x, x] for x in values]
-        for node, pair in zip(nodes, numbers or (), strict=numbers is not None):
-            self.numbers[node] = Interval(*map(rational, pair))
-            need(self.numbers[node].lower <= self.numbers[node].upper, f"{label}: an interval with its ends exchanged")
+    def read_symbol(self, value):
+        shape = {"label": str, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}
+        item = read(value, shape, "a symbol")
+        need(item.label not in self.symbols, f"{item.label}: a symbol occurs twice")
+        need(item.size == 1 or item.kind not in ("time", "period"), f"{item.label}: expected one number")
+        free = item.numbers is None and not item.exact
+        need(free or item.kind == "parameter", f"{item.label}: numbers of a {item.kind}")
+        self.symbols[item.label] = nodes = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
+        self.kinds[item.label] = item.kind
+        need(sum(map(len, self.symbols.values())) < LARGEST, "symbols: too many elements")
+        for node, (lower, upper) in zip(nodes, item.numbers or (), strict=not free):
+            need(lower <= upper and (lower == upper or not item.exact), f"{item.label}: its numbers")
+            self.numbers[node] = Interval(lower, upper)
+            self.fixed |= {node: lower} if item.exact else {}
 
-    def read_program(self, operations, code, a, b, constants):
-        labels, nodes = list(self.symbols), []
-        numbers = [number(rational(x)) for x in constants]
-        for k, first, second in zip(code, a, b, strict=True):
-            name = at(operations, k, "an operation")
+    def read_program(self, value):
+        shape = {"operations": [str], "code": [int], "a": [int], "b": [int], "constants": [rational]}
+        program, labels = read(value, shape, "the program"), list(self.symbols)
+        numbers, nodes = list(map(number, program.constants)), []
+        for k, first, second in zip(program.code, program.a, program.b, strict=True):
+            name = at(program.operations, k, "an operation")
             if name == "const":
                 nodes.append(at(numbers, first, "a constant"))
             elif name == "input":
@@ -383,25 +393,43 @@ class Certificate:
                 own = Node(name, x) if name in UNARY else Node(name, x, y)
                 nodes.append(ARITHMETIC[name](x, y) if name in ARITHMETIC else own)
                 self.divided += [Node("inv", y)] * (name == "div")  # a divisor must not vanish, even in a part times 0
-        return nodes
+        self.nodes += nodes  # -1 is the place of a zero
 
-    def inputs(self, label, kind):
-        need(self.kinds.get(label) == kind, f"{label}: expected a {kind}")
-        return self.symbols[label]
+    def read_vector(self, value):
+        rows, elements = value
+        self.vectors.append((rows, [at(self.nodes, k + 1, "a vector") for k in elements]))
+
+    def read_rates(self, value):
+        for label, k in value.items():
+            self.rates |= dict(zip(self.symbols[label], self.vector(k), strict=True))
+
+    def read_term(self, value):
+        rule, role = value["rule"], value["role"]
+        need(rule in RULES and role in RULES[rule], f"unknown rule {rule!r:.20} of a {role!r:.20} term")
+        parts = dict.fromkeys(PARTS[rule].split(), self.vector)
+        shape = {"name": str, "role": {role}, "rule": {rule}, "parts": parts, "assumed": (str,), "phi": (str,)}
+        self.terms.append(term := read(value, shape, "a term"))
+        need(
+            term.phi in (("tanh", "atan") if rule == "monotone" else (None,)),
+            f"{term.name}: unknown function {term.phi}",
+        )
+        return term
 
     def vector(self, k):
         return at(self.vectors, k, "a vector")[1]
 
-    def rows(self, k):
-        """Rows of a matrix, which a vector contains column by column."""
+    def matrix(self, k):
         rows, elements = at(self.vectors, k, "a matrix")
-        need(type(rows) is int and rows > 0 and len(elements) % rows == 0, "a matrix: its number of rows")
-        return [elements[i::rows] for i in range(rows)]
+        return matrix(elements, rows)
 
-    def term(self, k, role):
-        found = at(self.terms, k, "a term")
-        need((found.role, found.rule) == (role, "square"), f"{found.name}: expected a {role} square")
-        return found
+    def state(self, label):
+        need(self.kinds.get(label) == "state", f"{label}: expected a state")
+        return label
+
+    def stored_square(self, k):
+        term = at(self.terms, k, "a term")
+        need((term.role, term.rule) == ("stored", "square"), f"{term.name}: expected a stored square")
+        return term
 
     def constant(self, nodes):
         return all(self.kinds[node.value[0]] in CONSTANT for node in symbols(nodes))
@@ -420,35 +448,21 @@ class Certificate:
 # ---- Terms, the robot, and steps -------------------------------------------------------------------------------------
 
 
-class Term:
-    """A term T of V, of the dissipation, of the residual, or a cross term, with its parts by name."""
+def term_value(term):
+    part = term.parts
+    if term.rule == "square":  # |a|^2 in the weight W
+        return dot(part.vector, weighted(part.weight, part.vector))
+    if term.rule == "monotone":  # sum w (a - b) (phi(a / v) - phi(b / v))
+        phi = [[Node(term.phi, x) for x in over(own, part.scale)] for own in (part.first, part.second)]
+        return dot(times(part.weight, minus(part.first, part.second)), minus(*phi))
+    # potential: sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
+    gains = each(lambda v, root: v * v * (root - ONE), part.width, roots(term))
+    return dot(part.weight, gains) / HALF
 
-    def __init__(self, of, name, level, role, rule, parts, assumed, phi):
-        self.name, self.level, self.role, self.rule, self.assumed, self.phi = name, level, role, rule, assumed, phi
-        need(role in RULES and rule in RULES[role], f"{name}: unknown rule {rule} of a {role} term")
-        self.parts = {part: of.vector(k) for part, k in keys(parts, RULES[role][rule], name).items()}
-        self.factor = ONE if level == "" else of.inputs(level, "weight")[0]
-        self.weight, self.vector = self.parts["weight"], self.parts.get("vector", ())
-        need(rule != "monotone" or phi in ("tanh", "atan"), f"{name}: unknown function {phi}")
-        need(not of.samples or (rule == "square" and not level and role != "cross"), f"{name}: over samples")
 
-    def value(self):
-        if self.rule == "square":
-            return dot(self.vector, weighted(self.weight, self.vector))
-        if self.rule == "monotone":  # sum w (a - b) (phi(a / v) - phi(b / v))
-            a, b = self.parts["first"], self.parts["second"]
-            v = spread(self.parts["scale"], len(a))
-            phi = [[Node(self.phi, x / y) for x, y in zip(z, v, strict=True)] for z in (a, b)]
-            return dot(weighted(spread(self.weight, len(a)), minus(a, b)), minus(*phi))
-        # potential: sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
-        v = spread(self.parts["width"], len(self.vector))
-        gains = [x * x * (root - ONE) for x, root in zip(v, self.roots(), strict=True)]
-        return (ONE + ONE) * dot(spread(self.weight, len(v)), gains)
-
-    def roots(self):
-        """sqrt(1 + (a / v)^2) of a potential."""
-        ratios = [a / v for a, v in zip(self.vector, spread(self.parts["width"], len(self.vector)), strict=True)]
-        return [Node("sqrt", ONE + x * x) for x in ratios]
+def roots(term):
+    """sqrt(1 + (a / v)^2) of a potential."""
+    return [Node("sqrt", ONE + x * x) for x in over(term.parts.vector, term.parts.width)]
 
 
 def robot(of, item):
@@ -458,16 +472,15 @@ def robot(of, item):
     T_i places body i in the world, and S_i is the integral of r r' dm over its points r = (x, y, z, 1). By d'Alembert's
     principle, the force of joint j is sum_i tr(dT_i/dq_j S_i (d2T_i/dt2 - gravity)').
     """
-    weight, position, translations, inertia = (of.vector(item[x]) for x in FLOW["masses"].split()[:4])
-    n, T, frames = len(position), [[ONE if i == k else ZERO for k in range(4)] for i in range(3)], []
-    q, dq, ddq = ([Node("symbol", value=(None, name)) for _ in position] for name in ("q", "dq", "ddq"))
-    rotors = [ZERO] * n if item["rotors"] is None else spread(of.vector(item["rotors"]), n)
-    sizes = (len(item["joints"]), len(translations) // 3, len(inertia) / 10)
-    need(sizes[0] == n == sizes[2] and sizes[1] >= n, "a chain: sizes of its parts")
-    for i, joint in enumerate(item["joints"]):
-        T = product(T, placed(keys(joint, "kind axis rotation", "a joint"), q[i], translations[3 * i : 3 * i + 3]))
+    n, T, frames = len(item.position), [[ONE if i == k else ZERO for k in range(4)] for i in range(3)], []
+    q, dq, ddq = ([Node("symbol", value=(None, name)) for _ in range(n)] for name in ("q", "dq", "ddq"))
+    rotors = [ZERO] * n if item.rotors is None else item.rotors
+    sizes = (len(item.joints), len(item.translations) // 3, len(item.inertia) / 10, len(rotors))
+    need(sizes[0] == n == sizes[2] == sizes[3] and sizes[1] >= n > 0, "a chain: sizes of its parts")
+    for i, joint in enumerate(item.joints):
+        T = product(T, placed(joint, q[i], item.translations[3 * i : 3 * i + 3]))
         frames.append(flat(T))
-    bodies = [pseudo_inertia(inertia[10 * i : 10 * i + 10]) for i in range(n)]
+    bodies = list(pseudo_inertias(item.inertia))
 
     def force(slopes, accelerations):
         """Sum over the bodies of the trace of a slope of T times S times an acceleration."""
@@ -476,50 +489,44 @@ def robot(of, item):
 
     slopes = [[rates(T, lambda x, own=own: ONE if x is own else ZERO, {}) for T in frames] for own in q]
     mass = [force(slopes[j], slopes[k]) + (rotors[j] if j == k else ZERO) for k in range(n) for j in range(n)]
-    yield "the mass matrix", minus(weight, replaced(mass, dict(zip(q, position, strict=True))))
-    if item["motion"] is not None:
-        names = "velocity acceleration gravity torque"
-        velocity, acceleration, gravity, torque = (
-            of.vector(keys(item["motion"], names, "motion")[x]) for x in names.split()
-        )
-        need(of.constant([*translations, *inertia, *rotors]), "a chain: expected constant bodies")
-        moves = dict(zip([*q, *dq], [*dq, *ddq], strict=True))
-        falls = [ZERO if k % 4 < 3 else gravity[k // 4] for k in range(12)]
+    yield "the mass matrix", minus(item.weight, replaced(mass, dict(zip(q, item.position))))
+    yield "the rates of the bodies", of.sure_rate([*item.translations, *item.inertia, *rotors])
+    if (motion := item.motion) is not None:
+        moves = dict(zip([*q, *dq], [*dq, *ddq]))
+        falls = [ZERO if k % 4 < 3 else motion.gravity[k // 4] for k in range(12)]
         speeds = [rates(T, lambda x: moves.get(x, ZERO), {}) for T in frames]
         seconds = [minus(rates(x, lambda x: moves.get(x, ZERO), {}), falls) for x in speeds]
         forces = [force(slopes[j], seconds) + rotors[j] * ddq[j] for j in range(n)]
-        actual = dict(zip([*q, *dq, *ddq], [*position, *velocity, *acceleration], strict=True))
-        yield "the robot's velocity", minus(of.sure_rate(position), velocity)
-        yield "the robot's acceleration", minus(of.sure_rate(velocity), acceleration)
-        yield "the robot's equation of motion", minus(replaced(forces, actual), torque)
+        actual = dict(zip([*q, *dq, *ddq], [*item.position, *motion.velocity, *motion.acceleration], strict=True))
+        yield "the robot's velocity", minus(of.sure_rate(item.position), motion.velocity)
+        yield "the robot's acceleration", minus(of.sure_rate(motion.velocity), motion.acceleration)
+        yield "the robot's equation of motion", minus(replaced(forces, actual), motion.torque)
 
 
 def placed(joint, q, origin):
     """Transform from the parent's frame to that of a joint, of 4 rows."""
-    axis, R = (list(map(rational, joint[name])) for name in ("axis", "rotation"))
-    need(len(R) == 9 and len(axis) == 3, "a joint: sizes of its axis and rotation")
-    R = [R[0:3], R[3:6], R[6:9]]
-    x, y = R[0], R[1]
+    axis, R = joint.axis, [joint.rotation[k : k + 3] for k in (0, 3, 6)]
+    x, y, z = R
     third = [x[i - 2] * y[i - 1] - x[i - 1] * y[i - 2] for i in range(3)]
-    proper = (dot(axis, axis), dot(x, x), dot(y, y), dot(x, y)) == (1, 1, 1, 0) and R[2] == third
-    need(proper, "a joint: expected a unit axis and a rotation")
+    proper = (dot(axis, axis), dot(x, x), dot(y, y), dot(x, y)) == (1, 1, 1, 0) and z == third
+    need(proper and len(axis) == 3 and len(joint.rotation) == 9, "a joint: expected a unit axis and a rotation")
     R, a = [list(map(number, row)) for row in R], list(map(number, axis))
     turn = [[ONE if i == k else ZERO for k in range(3)] for i in range(3)]
-    if joint["kind"] == "revolute":  # cos 1 + sin [a]x + (1 - cos) a a'
+    if joint.kind == "revolute":  # cos 1 + sin [a]x + (1 - cos) a a'
         c, s = Node("cos", q), Node("sin", q)
         skew = [[ZERO, ZERO - a[2], a[1]], [a[2], ZERO, ZERO - a[0]], [ZERO - a[1], a[0], ZERO]]
         turn = [[c * turn[i][k] + s * skew[i][k] + (ONE - c) * a[i] * a[k] for k in range(3)] for i in range(3)]
     else:
-        need(joint["kind"] == "prismatic", "a joint: expected revolute or prismatic")
-        origin = plus(origin, [x * q for (x,) in product(R, [[x] for x in a])])
+        origin = each(lambda x, row: x + dot(row, a) * q, origin, R)
     return [*([*row, x] for row, x in zip(product(R, turn), origin, strict=True)), [ZERO, ZERO, ZERO, ONE]]
 
 
-def pseudo_inertia(values):
-    """S of a body, from m, m c (3), and I_xx, I_xy, I_yy, I_xz, I_yz, I_zz about the origin of its frame."""
-    m, x, y, z, xx, xy, yy, xz, yz, zz = values
-    xy, xz, yz, half = ZERO - xy, ZERO - xz, ZERO - yz, number(Fraction(1, 2)) * (xx + yy + zz)
-    return [[half - xx, xy, xz, x], [xy, half - yy, yz, y], [xz, yz, half - zz, z], [x, y, z, m]]
+def pseudo_inertias(values):
+    """S of each body, from m, m c (3), and I_xx, I_xy, I_yy, I_xz, I_yz, I_zz about the origin of its frame."""
+    for k in range(0, len(values), 10):
+        m, x, y, z, xx, xy, yy, xz, yz, zz = values[k : k + 10]
+        xy, xz, yz, half = ZERO - xy, ZERO - xz, ZERO - yz, HALF * (xx + yy + zz)
+        yield [[half - xx, xy, xz, x], [xy, half - yy, yz, y], [xz, yz, half - zz, z], [x, y, z, m]]
 
 
 def updated(of, item):
@@ -529,28 +536,26 @@ def updated(of, item):
     h' D h, and D the gain. Then |theta - true|^2_(1/D) changes by exactly -(h'(theta - true))^2 / n - floor e^2 / n^2 +
     eta^2 / n, where eta = y - h'true. A box with the true value inside moves theta towards it.
     """
-    name, rows, sizes = item["estimate"], item["rows"], item["sizes"]
-    fixed = "gain floor true" + " lower upper" * item["box"]
-    need(item["rule"] == "normalised", f"{name}: unknown rule {item['rule']} of steps")
-    need(type(item["box"]) is bool and type(rows) is int and 0 < rows < LARGEST, f"{name}: its steps")
-    names = " ".join((fixed, *(f"h{k} y{k}" for k in range(rows))))
-    part = {x: of.vector(k) for x, k in keys(item["parts"], names, name).items()}
-    state, (floor,), moved, end = of.inputs(name, "state"), part["floor"], [], 0
-    need(of.constant([node for x in fixed.split() for node in part[x]]), f"{name}: parts that are not constant")
-    need(all(type(n) is int and n > 0 for n in sizes) and sum(sizes) == len(state), f"{name}: its sizes")
-    for j, n in enumerate(sizes):
+    part, state, moved, end = item.parts, of.symbols[item.estimate], [], 0
+    fixed = ["gain", "floor", "true", *["lower", "upper"] * item.box]
+    names = {*fixed, *(f"{x}{k}" for x in "hy" for k in range(item.rows))}
+    need(part.keys() == names and item.rows, f"{item.estimate}: parts of its steps")
+    need(of.constant([node for x in fixed for node in part[x]]), f"{item.estimate}: parts that are not constant")
+    need(all(item.sizes) and sum(item.sizes) == len(state), f"{item.estimate}: its sizes")
+    (floor,) = part["floor"]
+    for j, n in enumerate(item.sizes):
         own, end = slice(end, end + n), end + n
         theta, gain = state[own], part["gain"][own]
-        for k in range(rows):
+        for k in range(item.rows):
             h, y = part[f"h{k}"][own], part[f"y{k}"][j]
-            direction = [d * x for d, x in zip(gain, h, strict=True)]
+            direction = times(gain, h)
             step = (y - dot(h, theta)) / (floor + dot(h, direction))
-            theta = plus(theta, [x * step for x in direction])
-            if item["box"]:
-                bounds = zip(theta, part["lower"][own], part["upper"][own], strict=True)
-                theta = [Node("fmin", Node("fmax", x, low), high) for x, low, high in bounds]
+            theta = plus(theta, [d * step for d in direction])
+            if item.box:
+                bounds = part["lower"][own], part["upper"][own]
+                theta = each(lambda x, low, high: Node("fmin", Node("fmax", x, low), high), theta, *bounds)
         moved += theta
-    yield f"the next value of {name}", minus([of.rates[x] for x in state], moved)
+    yield f"the next value of {item.estimate}", minus([of.rates[x] for x in state], moved)
 
 
 # ---- The identity ----------------------------------------------------------------------------------------------------
@@ -560,53 +565,48 @@ def equalities(of):
     """Names, and nodes that must vanish; the first one is V, which must not."""
     V, total, found = ZERO, ZERO, []
     for term in of.terms:
-        value = term.value()
+        value = term_value(term)
         if term.role == "stored":
-            V = V + term.factor * value
-            change = replaced([value], of.rates)[0] - value if of.samples else of.sure_rate([value])[0]
-            total = total + term.factor * number(Fraction(1, 2)) * change
+            V += value
+            total += HALF * (replaced([value], of.rates)[0] - value if of.samples else of.sure_rate([value])[0])
         else:
-            total = total + term.factor * value if term.role == "dissipated" else total - term.factor * value
-    for item in of.lists["projections"]:  # (estimate - true value)' W correction
-        name, term = item["state"], of.term(item["term"], "stored")
-        need(item["correction"] == f"{name}, correction" and item["set"] == "box", f"{name}: unknown projection")
-        estimate, correction = of.inputs(name, "state"), of.inputs(item["correction"], "projection")
-        total = total - term.factor * dot(weighted(term.weight, term.vector), correction)
-        true, rate = spread(of.vector(item["true"]), len(estimate)), [of.rates[x] for x in estimate]
+            total = total + value if term.role == "dissipated" else total - value
+    for item in of.projections:  # (estimate - true value)' W correction
+        name, part, estimate = item.state, item.term.parts, of.symbols[item.state]
+        need(of.kinds.get(f"{name}, correction") == "projection", f"{name}: expected its correction")
+        correction, rate = of.symbols[f"{name}, correction"], [of.rates[x] for x in estimate]
+        total -= dot(weighted(part.weight, part.vector), correction)
         nominal = replaced(rate, dict.fromkeys(correction, ZERO))
-        found.append((f"the error of {name}", minus(term.vector, minus(estimate, true))))
-        found.append((f"the rate of the true value of {name}", of.sure_rate(true)))
+        found.append((f"the error of {name}", minus(part.vector, minus(estimate, item.true))))
+        found.append((f"the rate of the true value of {name}", of.sure_rate(item.true)))
         found.append((f"the rate of {name}", minus(minus(rate, nominal), correction)))
-    for item in of.lists["cross"]:  # a = sum_j share_j v_j
-        left = of.term(item["term"], "cross").vector
-        for share, k in item["by"]:
-            v = of.term(k, "dissipated").vector
-            left = minus(left, [x * y for x, y in zip(spread(of.vector(share), len(v)), v, strict=True)])
-        found.append(("the vector of a cross term", left))
-    for item in of.lists["masses"]:
+    for item in of.masses:
         found += robot(of, item)
-    for item in of.lists["steps"]:
+    for item in of.steps:
         found += updated(of, item)
-    return [("V", [ONE if of.lists["steps"] else V]), ("V(next) - V" if of.samples else "dV/dt", [total]), *found]
+    return [("V", [ONE if of.steps else V]), ("V(next) - V" if of.samples else "dV/dt", [total]), *found]
 
 
-def complexity(nodes):
+def complexity(nodes, fixed):
     """D + H of all polynomials that must not vanish at a random point: the numerators of these nodes and of divisors,
-    and the differences x - y and x + y of arguments of one function, with 0 and 1 as further arguments.
+    and the differences x - y and x + y of arguments of one function, with 0 and 1 as further arguments. `fixed`
+    contains the numbers of symbols with exact ones.
 
     The size of a node bounds degree and log2 of the sum of coefficients, of its numerator and of its denominator.
     """
     sizes, total, arguments = {}, 0, {}
     for node in below(nodes):
-        if node.name in ARITHMETIC or node.name == "inv":
+        rational = node.name in ARITHMETIC or node.name == "inv"
+        if rational:
             sizes[node] = sum(sizes[x] for x in node.of) + 1
             need(sizes[node] < 1 << max(SIZES), "the degree of an expression is too high")
             total += 2 * sizes[node] * (node.name == "inv")
-        elif node.name == "number":
-            sizes[node] = max(node.value.numerator.bit_length(), node.value.denominator.bit_length())
+        elif node.name == "number" or node in fixed:
+            value = fixed.get(node, node.value)
+            sizes[node] = max(value.numerator.bit_length(), value.denominator.bit_length())
         else:
             sizes[node] = 2 if node.name in ("sin", "cos") else 1
-        if node.of and node.name not in ARITHMETIC and node.name != "inv":
+        if node.of and not rational:
             arguments.setdefault("sin" if node.name == "cos" else node.name, set()).update(node.of)
     for found in arguments.values():
         total += (len(found) + 2) ** 2 * (8 * max((sizes[x] for x in found), default=0) + 8)
@@ -614,25 +614,24 @@ def complexity(nodes):
 
 
 def random_prime(bits):
-    """By the test of Miller and Rabin with 64 random bases."""
+    """By the test of Miller and Rabin: base^odd is 1, or one of its first squares is -1, for 64 random bases."""
     while True:
         n = secrets.randbits(bits) | 1 << (bits - 1) | 1
-        if all(n % x for x in (3, 5, 7, 11, 13)) and all(passes(n, secrets.randbelow(n - 3) + 2) for _ in range(64)):
+        twos, tried = (n - 1 & 1 - n).bit_length() - 1, 0
+        while tried < 64:
+            x = pow(secrets.randbelow(n - 3) + 2, n - 1 >> twos, n)
+            if x != 1 and all(pow(x, 1 << k, n) != n - 1 for k in range(twos)):
+                break
+            tried += 1
+        else:
             return n
-
-
-def passes(n, base):
-    """base^odd is 1, or one of its first squares is -1, where n - 1 = odd 2^twos."""
-    twos = (n - 1 & 1 - n).bit_length() - 1
-    x = pow(base, n - 1 >> twos, n)
-    return x == 1 or any(pow(x, 1 << k, n) == n - 1 for k in range(twos))
 
 
 def identity(of):
     """log2 of the error bound and the number of points; raises `Refuted` at one where an equality does not hold."""
     found = equalities(of)
-    nodes = [node for _, own in [*found, *of.vectors] for node in own] + of.divided
-    degree = log2(complexity(nodes))
+    nodes = flat([*(own for _, own in found), *(own for _, own in of.vectors), of.divided])
+    degree = log2(complexity(nodes, of.fixed))
     bits = next((bits for bits in SIZES if degree + 3 - bits < -64), None)
     need(bits is not None, f"the degree of the identity is too high: D + H is 2^{degree:.0f}")
     points, tried = 0, 0
@@ -640,26 +639,51 @@ def identity(of):
         field, tried = Field(random_prime(bits)), tried + 1
         need(tried < 40, "a divisor vanishes at every point")
         try:
-            exact = {node: field.call(number(value)) for node, value in of.fixed.items()}
-            evaluate(nodes, field, exact)
+            values = {node: field.number(value) for node, value in of.fixed.items()}
+            evaluate(nodes, field, values)
         except Undecided:
             continue
         for name, own in found:
-            show(any(exact[node] for node in own) == (name == "V"), f"{name} does not hold")
+            show(any(values[node] for node in own) == (name == "V"), f"{name} does not hold")
         points += 1
     field = Field(random_prime(bits))  # no divisor vanishes with the file's numbers
-    evaluate(of.divided, field, {x: field.call(number(i.lower)) for x, i in of.numbers.items() if i.lower == i.upper})
+    evaluate(of.divided, field, {x: field.number(i.lower) for x, i in of.numbers.items() if i.lower == i.upper})
     return points * (degree + 3 - bits), points
 
 
-# ---- Signs, conditions and small gain --------------------------------------------------------------------------------
+# ---- Signs and conditions --------------------------------------------------------------------------------------------
 
 
 class Signs:
-    """Signs over the intervals of the file. `assumed` collects what they do not show."""
+    """Signs over the intervals of the file. `assumed` collects what they do not show, `strict` contains the terms with
+    a positive weight, `boxes` the intervals of estimates.
+    """
 
     def __init__(self, of):
         self.of, self.boxes, self.assumed, self.strict = of, {}, [], []
+        for item in of.masses:
+            self.bodies(item)
+        for term in of.terms:
+            if term.role != "residual":
+                sign = self.weight(term)
+                show(sign >= (term.role == "stored"), f"{term.name}: the sign of its weight is wrong, or not shown")
+                self.strict += [term] * (sign == 1)
+        for item in of.projections:
+            self.assumed.append(f"{item.state}: it starts in its box, and its law is this projection")
+            part = item.term.parts
+            need(len(part.weight) == len(part.vector), f"{item.state}: expected a diagonal metric")
+            self.inside(item.state, item.lower, item.true, item.upper)
+        for item in of.steps:
+            part = item.parts
+            positive = self.sign(part["gain"]) == self.sign(part["floor"]) == 1
+            show(positive, f"{item.estimate}: gain and floor of its steps are not shown to be positive")
+            if item.box:
+                self.inside(item.estimate, part["lower"], part["true"], part["upper"])
+        for item in of.conditions:
+            if not item.margin or self.intervals(item.margin) is None:
+                self.assumed.append(f"condition: {item.name}")
+            else:
+                show(self.sign(item.margin) >= item.strict, f"condition: {item.name}")
 
     def intervals(self, nodes, more=()):
         """Intervals of nodes; None if they depend on more than parameters, or on a function."""
@@ -672,108 +696,53 @@ class Signs:
         """1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided."""
         values = self.intervals(nodes)
         if values is None or (size > 1 and len(values) == size * size):
-            return 1 if values and definite([values[i::size] for i in range(size)]) else -1
+            return 1 if values and definite(matrix(values, size)) else -1
         least = min((x.lower for x in values), default=1)
         return (least > 0) - (least < 0)
 
     def weight(self, term):
         """Sign of a term."""
-        size = len(term.vector) if term.rule == "square" else 0
-        if size and term.role != "cross" and self.intervals(term.weight) is None:
-            for item in self.of.lists["masses"]:
-                if self.of.vector(item["weight"]) == term.weight and len(term.weight) == size * size:
-                    return self.mass(item)
-            if term.assumed is not None:
-                self.assumed.append(f"{term.name}: its weight is positive: {term.assumed}")
-                return 1
-        scale = term.parts.get("scale", term.parts.get("width"))
-        return self.sign(term.weight, size) if scale is None or self.sign(scale) == 1 else -1
-
-    def mass(self, item):
-        """A mass matrix is positive definite if each body's pseudo-inertia is, and no rotor's inertia is negative."""
-        inertia = self.of.vector(item["inertia"])
-        bodies = [flat(pseudo_inertia(inertia[k : k + 10])) for k in range(0, len(inertia), 10)]
-        if self.intervals(inertia) is None:
-            self.assumed.append("the load is a rigid body")
-        elif min(self.sign(body, 4) for body in bodies) < 1:
+        part, size = term.parts, 0
+        if term.rule == "square":
+            size = len(part.vector)
+            if self.intervals(part.weight) is None:
+                if len(part.weight) == size * size and part.weight in [item.weight for item in self.of.masses]:
+                    return 1
+                if term.assumed:
+                    self.assumed.append(f"{term.name}: its weight is uniformly positive: {term.assumed}")
+                    return 1
+        elif self.sign(part.scale if term.rule == "monotone" else part.width) < 1:
             return -1
-        return 1 if item["rotors"] is None or self.sign(self.of.vector(item["rotors"])) >= 0 else -1
+        return self.sign(part.weight, size)
 
-    def check(self):
-        """Checks all signs, and collects the terms with a positive weight in `strict`."""
-        of = self.of
-        for term in of.terms:
-            if term.role != "residual":
-                sign = self.weight(term)
-                show(sign >= (term.role == "stored"), f"{term.name}: the sign of its weight is wrong, or not shown")
-                self.strict += [term] * (sign == 1)
-        for item in of.lists["projections"]:
-            name, term = item["state"], of.term(item["term"], "stored")
-            self.assumed.append(f"{name}: it starts in its box, and its law is this projection")
-            need(len(term.weight) in (1, len(term.vector)), f"{name}: expected a diagonal metric")
-            self.inside(name, item)
-        for item in of.lists["steps"]:
-            part, name = item["parts"], item["estimate"]
-            positive = all(self.sign(of.vector(part[x])) == 1 for x in ("gain", "floor"))
-            show(positive, f"{name}: gain and floor of its steps are not shown to be positive")
-            if item["box"]:
-                self.inside(name, part)
-        for item in of.lists["conditions"]:
-            margin = [] if item["margin"] is None else of.vector(item["margin"])
-            if not margin or self.intervals(margin) is None:
-                self.assumed.append(f"condition: {item['name']}")
-            else:
-                show(self.sign(margin) >= (item["strict"] is not False), f"condition: {item['name']}")
+    def bodies(self, item):
+        """A mass matrix is positive definite if each pseudo-inertia is, and no rotor's inertia is negative. What a
+        trajectory, the load, adds to a body is assumed to be a body.
+        """
+        for S in map(flat, pseudo_inertias(item.inertia)):
+            loads = [x for x in symbols(S) if self.of.kinds[x.value[0]] == "trajectory"]
+            for label in sorted({x.value[0] for x in loads}):
+                self.assumed.append(f"what {label} adds to a body of the robot is a rigid body")
+            show(self.sign(replaced(S, dict.fromkeys(loads, ZERO)), 4) == 1, "a body of the robot: its pseudo-inertia")
+        show(item.rotors is None or self.sign(item.rotors) >= 0, "a rotor of the robot: its inertia")
 
-    def inside(self, name, item):
+    def inside(self, name, *box):
         """The true value of an estimate is inside its box."""
-        estimate, of = self.of.inputs(name, "state"), self.of
-        low, true, high = (
-            self.intervals(spread(of.vector(item[x]), len(estimate))) for x in ("lower", "true", "upper")
-        )
+        low, true, high = map(self.intervals, box)
         show(low and high, f"{name}: its box is not made of parameters")
-        show(all(a.upper <= b.lower for a, b in zip(low, high, strict=True)), f"{name}: its box is empty")
+        show(all(each(lambda a, b: a.upper <= b.lower, low, high)), f"{name}: its box is empty")
         if true is None:
             self.assumed.append(f"{name}: its true value is inside the box")
-        for node, a, x, b in zip(estimate, low, true or low, high, strict=True):
+        for node, a, x, b in zip(self.of.symbols[name], low, true or low, high, strict=True):
             show(a.upper <= x.lower and x.upper <= b.lower, f"{name}: its true value is not inside the box")
             box = self.boxes.setdefault(node, Interval(a.lower, b.upper))
             need((box.lower, box.upper) == (a.lower, b.upper), f"{name}: two boxes")
 
-    def kappa(self):
-        """The least kappa with which the dissipation dominates the cross terms; None without any.
-
-        c |sum a_j v_j|^2 <= c max(sum_j a_j^2 / W_j) sum_j |v_j|^2_(W_j), by the inequality of Cauchy.
-        """
-        of, needed, declared = self.of, {}, []
-        for item in of.lists["cross"]:
-            own, used = of.term(item["term"], "cross"), [of.term(k, "dissipated") for _, k in item["by"]]
-            need(used and len({term.level for term in used}) == 1, "a cross term: expected squares of one level")
-            need(not own.level and len(own.weight) == 1, "a cross term: expected one number as its weight")
-            need(len({*used}) == len(used), "a cross term: a square that dominates twice")
-            show({*used} <= {*self.strict}, "no square with a positive weight dominates a cross term")
-            size = len(own.vector)
-            shares = [spread(self.of.vector(share), size) for share, _ in item["by"]]
-            weights = [spread(term.weight, size) for term in used]
-            ratios = [dot([a * a for a in x], [ONE / w for w in y]) for x, y in zip(zip(*shares), zip(*weights))]
-            bounds = self.intervals([own.weight[0] * x for x in ratios])
-            show(bounds is not None, "the bound of a cross term is not made of parameters")
-            key = frozenset(used)
-            need(all(key == other or not key & other for other in needed), "cross terms share a part of their squares")
-            needed[key] = needed.get(key, 0) + max(x.upper for x in bounds)
-            show(used[0].level or needed[key] < 1, "the dissipation does not dominate a cross term")
-            declared.append(own)
-        for term in of.terms:
-            show(term.role != "cross" or term in declared, f"{term.name}: nothing dominates its cross term")
-        return max(needed.values(), default=None)
-
 
 def definite(rows):
     """True if all symmetric matrices in these intervals are positive definite: their pivots are positive."""
-    n = len(rows)
-    if any(
-        (rows[i][j].lower, rows[i][j].upper) != (rows[j][i].lower, rows[j][i].upper) for i in range(n) for j in range(i)
-    ):
+    ends = [[(x.lower, x.upper) for x in row] for row in rows]
+    if ends != list(map(list, zip(*ends, strict=True))):
         return False
     while rows:
         (pivot, *first), *rest = rows
@@ -791,16 +760,13 @@ def restricted(basis, slopes, p):
     """The directions in the span of a basis along which all functionals vanish; slopes[k] are theirs along basis[k]."""
     rows = [[*u, *own] for u, own in zip(basis, slopes, strict=True)]
     n = len(basis[0]) if basis else 0
-    for k in range(n, n + len(slopes[0]) if slopes else n):
+    for k in range(n, len(rows[0]) if rows else n):
         pivot = next((row for row in rows if row[k]), None)
         if pivot is not None:
             scale = pow(pivot[k], -1, p)
             scaled = [x * scale % p for x in pivot]
-            rows = [
-                [(x - row[k] * y) % p for x, y in zip(row, scaled)] if row[k] else row
-                for row in rows
-                if row is not pivot
-            ]
+            others = [row for row in rows if row is not pivot]
+            rows = [[(x - row[k] * y) % p for x, y in zip(row, scaled)] if row[k] else row for row in others]
     return [row[:n] for row in rows]
 
 
@@ -818,19 +784,17 @@ class Conclusions:
 
     def __init__(self, of, signs):
         self.of, self.signs, self.p, self.gone = of, signs, random_prime(SIZES[0]), []
-        moving = [label for label, kind in of.kinds.items() if kind in ("state", "time")]
-        self.columns, field = [x for label in moving for x in of.symbols[label]], Field(self.p)
-        self.given = {
-            x: field.random(x) for label, own in of.symbols.items() if of.kinds[label] in CONSTANT for x in own
-        }
-        self.given |= {x: field.call(number(i.lower)) for x, i in of.numbers.items() if i.lower == i.upper}
+        labels, field = of.symbols.items(), Field(self.p)
+        self.columns = [x for label, own in labels if of.kinds[label] in ("state", "time") for x in own]
+        self.given = {x: field.random(x) for label, own in labels if of.kinds[label] in CONSTANT for x in own}
+        self.given |= {x: field.number(i.lower) for x, i in of.numbers.items() if i.lower == i.upper}
         self.places = [(Field(self.p, frozen=True), dict(self.given)) for _ in range(2)]
-        self.squares = [x.vector for x in signs.strict if (x.role, x.rule) == ("dissipated", "square")]
+        self.squares = flat(x.parts.vector for x in signs.strict if (x.role, x.rule) == ("dissipated", "square"))
         self.points, self.linear, self.open = [], [], units(len(self.columns))
-        self.wanted = [x for x in of.lists["conclusions"] if x["vector"] is not None and of.vector(x["vector"])]
+        self.wanted = [x for x in of.conclusions if x.vector]
         self.close()
         self.sources = list(self.premises())
-        own = [of.vector(x["vector"]) for x in self.wanted if x["says"] == "goes to zero"]
+        own = [x.vector for x in self.wanted if x.says == "goes to zero"]
         self.basis = units(4 + sum(map(len, own + [x for _, x, _ in self.sources])))
 
     def along(self, nodes, place, u):
@@ -848,7 +812,7 @@ class Conclusions:
         u = [dot(weights, column) % self.p for column in zip(*self.open)] if weights else [0] * len(self.columns)
         if None in nodes or any(self.along(nodes, 0, u)):
             return False
-        states = {item["correction"]: item["state"] for item in self.of.lists["projections"]}
+        states = {f"{item.state}, correction": item.state for item in self.of.projections}
         for label in {x.value[0] for x in symbols(nodes) if self.of.kinds[x.value[0]] == "projection"}:
             state = states.get(label)
             if (state,) != within[-1:]:
@@ -859,9 +823,9 @@ class Conclusions:
 
     def close(self):
         """Closes all directions that bounded signals determine."""
-        of, waiting = self.of, list(self.of.lists["linear"])
-        signals = [x.vector for x in self.signs.strict if x.role == "stored"]
-        fixed = {x for item in of.lists["projections"] for x in of.symbols[item["state"]]}
+        of, waiting = self.of, list(self.of.linear)
+        signals = [x.parts.vector for x in self.signs.strict if x.role == "stored"]
+        fixed = {x for item in of.projections for x in of.symbols[item.state]}
         self.restrict([[u[k] for k, x in enumerate(self.columns) if x in fixed] for u in self.open])
         free = [k for k, x in enumerate(self.columns) if x in of.rates and x not in fixed]
         steady = units(len(free))  # combinations of states whose rate is identically zero
@@ -876,7 +840,7 @@ class Conclusions:
                 return
             waiting.remove(found)
             self.linear.append(found)
-            signals += map(of.vector, found["vectors"])
+            signals += found.vectors
 
     def restrict(self, slopes):
         """True if this closes a direction."""
@@ -895,40 +859,33 @@ class Conclusions:
 
     def input(self, item):
         """dz_j/dt - sum_k A_jk z_k of a linear equation; None for an element without a derivative."""
-        of, z, found = self.of, list(map(self.of.vector, item["vectors"])), []
-        for own, row in zip(z, item["rates"], strict=True):
-            driven = [weighted(spread(of.vector(k), len(x)), x) for k, x in zip(row, z, strict=True)]
-            for rate, *parts in zip(of.rate(own), *driven, strict=True):
+        found = []
+        for z, row in zip(item.vectors, item.rates, strict=True):
+            driven = [times(A, other) for A, other in zip(row, item.vectors, strict=True)]
+            for rate, *parts in zip(self.of.rate(z), *driven, strict=True):
                 found.append(None if rate is None else rate - sum(parts, ZERO))
         return found
 
     def stable(self, item):
         """True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals."""
-        of, size = self.of, len(self.of.vector(item["vectors"][0]))
-        A = [[spread(of.vector(k), size) for k in row] for row in item["rates"]]
-        boxes = self.signs.boxes if len(A) == 1 else {}
-        entries = [self.signs.intervals(row[0] if len(A) == 1 else flat(row), boxes) for row in A]
-        if None in entries or len(A) > 2:
+        A = [self.signs.intervals(x, self.signs.boxes if len(item.rates) == 1 else {}) for x in flat(item.rates)]
+        if None in A or len(A) not in (1, 4):
             return False
         if len(A) == 1:
-            return all(x.upper < 0 for x in entries[0])
-        (a, b), (c, d) = ((row[:size], row[size:]) for row in entries)
-        return all((w + z).upper < 0 < (w * z - x * y).lower for w, x, y, z in zip(a, b, c, d, strict=True))
+            return all(x.upper < 0 for x in A[0])
+        return all((w + z).upper < 0 < (w * z - x * y).lower for w, x, y, z in zip(*A, strict=True))
 
     def premises(self):
         """Signals of which the vanishing implies that of others, these, and what this assumes."""
         for item in self.linear:
-            yield self.input(item), flat(map(self.of.vector, item["vectors"])), None
+            yield self.input(item), flat(item.vectors), None
         for term in self.of.terms:
             if term.rule == "potential":  # a / sqrt(1 + (a / v)^2) has the zeros of a
-                yield [a / root for a, root in zip(term.vector, term.roots(), strict=True)], term.vector, None
-        for item in self.of.lists["ranks"]:
-            R, b = self.of.rows(item["matrix"]), self.of.vector(item["vector"])
-            (values,) = self.sampled(flat(R), 1)
-            width = len(R[0])
-            slopes = [values[k : k + width] for k in range(0, len(values), width)]
-            if not restricted(units(len(R)), slopes, self.p):
-                yield flat(product([b], R)), b, f"{item['name']} keeps full row rank, uniformly"
+                yield over(term.parts.vector, roots(term)), term.parts.vector, None
+        for item in self.of.ranks:
+            R, (values,) = item.matrix, self.sampled(flat(item.matrix), 1)
+            if not restricted(units(len(R)), matrix(values, len(R)), self.p):
+                yield flat(product([item.vector], R)), item.vector, f"{item.name} keeps full row rank, uniformly"
 
     def sampled(self, nodes, count):
         """Values at random points, with the file's parameters."""
@@ -945,10 +902,11 @@ class Conclusions:
                 continue
         return found
 
-    def equal(self, one, other):
-        if len(one) != len(other) or None in other:
-            return False
-        return all(row[: len(one)] == row[len(one) :] for row in self.sampled([*one, *other], 2))
+    def among(self, nodes, others):
+        """True if each of these is one of the others."""
+        known = [x for x in others if x is not None]
+        values = list(zip(*self.sampled([*nodes, *known], 2), strict=True))
+        return {*values[: len(nodes)]} <= {*values[len(nodes) :]}
 
     def slopes(self, nodes):
         """Products of these signals, at all points, with the directions that vanishing signals do not span."""
@@ -963,20 +921,18 @@ class Conclusions:
         self.gone.append(nodes)
         self.basis = restricted(self.basis, self.slopes(nodes), self.p)
 
-    def vanishes(self, nodes):
-        """True if the square is integrable and the derivative bounded (Barbalat's lemma); if it is the derivative of a
-        vanishing signal and its own derivative is bounded; or if vanishing signals make it.
-        """
-        ends = any(self.equal(nodes, x) for x in self.squares + [self.of.rate(x) for x in self.gone])
-        return (ends and self.bounded(self.of.rate(nodes))) or self.made(nodes)
-
     def follows(self, item):
-        nodes = self.of.vector(item["vector"])
-        if item["says"] == "is bounded":
-            return self.bounded(nodes)
-        if item["says"] == "is square-integrable":
-            return any(self.equal(nodes, x) for x in self.squares)
-        return item["says"] == "goes to zero" and self.vanishes(nodes)
+        """True if a conclusion follows. A signal vanishes if its square is integrable and its derivative bounded
+        (Barbalat's lemma), if it is the derivative of a vanishing signal and its own derivative is bounded, or if
+        vanishing signals make it.
+        """
+        nodes, integrable = item.vector, self.among(item.vector, self.squares)
+        if item.says != "goes to zero":
+            return (
+                integrable if item.says == "is square-integrable" else item.says == "is bounded" and self.bounded(nodes)
+            )
+        ends = integrable or self.among(nodes, flat(map(self.of.rate, self.gone)))
+        return (ends and self.bounded(self.of.rate(nodes))) or self.made(nodes)
 
     def check(self):
         """The conclusions of the file that follow."""
@@ -984,13 +940,13 @@ class Conclusions:
         while True:
             new = [x for x in self.wanted if x not in shown and self.follows(x)]
             for item in new:
-                if item["says"] == "goes to zero":
-                    self.vanish(self.of.vector(item["vector"]))
+                if item.says == "goes to zero":
+                    self.vanish(item.vector)
             shown += new
             used = [x for x in self.sources if self.made(x[0]) and not self.made(x[1])]
-            for _, nodes, text in used:
+            for _, nodes, assumption in used:
                 self.vanish(nodes)
-                self.signs.assumed += [text] * (text is not None)
+                self.signs.assumed += [assumption] * (assumption is not None)
             if not new and not used:
                 return shown
 
@@ -1000,12 +956,12 @@ class Conclusions:
 
 def from_steps(of):
     """What the lemma of update steps shows, whatever the rows are; eta is what the true parameters do not explain."""
-    for item in of.lists["steps"]:
-        name = item["estimate"]
-        if item["box"]:
+    for item in of.steps:
+        name = item.estimate
+        if item.box:
             yield f"{name} is bounded"
         yield f"|{name} - true value|^2 in the metric gain^-1 does not rise where eta is zero"
-        yield f"the error of {name} in the direction of its rows is square-summable where eta is"
+        yield f"h'({name} - true value) / sqrt(n) is square-summable where eta / sqrt(n) is"
 
 
 def check(data: dict) -> dict:
@@ -1017,39 +973,35 @@ def check(data: dict) -> dict:
 
 
 def checked(of):
-    signs, shown, left = Signs(of), [], of.lists["conclusions"]
-    error, points = identity(of)
-    signs.check()
-    kappa = signs.kappa()
-    if of.samples:
-        shown, left = list(from_steps(of)), [item for item in left if item["estimate"] is None]
-    elif not any(term.role == "residual" for term in of.terms):
+    (error, points), signs, shown = identity(of), Signs(of), list(from_steps(of))
+    if not of.samples and all(term.role != "residual" for term in of.terms):
         once, again = (Conclusions(of, signs).check() for _ in range(2))  # with another prime
-        shown = [f"{item['signal']} {item['says']}" for item in once if item in again]
-        left = [item for item in left if item not in once or item not in again]
-    given = [label for label, kind in of.kinds.items() if kind in GIVEN]
-    still = [label for label, kind in of.kinds.items() if kind in ("constant", "stepping")]
+        shown = [f"{item.signal} {item.says}" for item in once if item in again]
+    given, still = ([x for x, kind in of.kinds.items() if kind in kinds] for kinds in (GIVEN, CONSTANT))
     bounds = [f"bounded: {', '.join(given)}"] * bool(given and not of.samples)
     bounds += [f"constant: {', '.join(still)}"] * bool(still)
-    weights = sorted({term.level for term in of.terms if term.level})
-    bounds += [f"above kappa_above, and positive: {', '.join(weights)}"] * bool(weights)
-    texts = [f"{item['signal']} {item['says']}" for item in left]
+    exact = {x for x, i in of.numbers.items() if i.lower == i.upper}
+    some = [label for label in still if not exact.issuperset(of.symbols[label])]
+    bounds += [f"conclusions are for almost all values of: {', '.join(some)}"] * bool(some and not of.samples)
     return {
         "status": "re-proved",
         "statement": "V(next) - V" if of.samples else "dV/dt",
         "log2_error": round(error),
         "points": points,
-        "robot": [
-            f"a weight is the mass matrix of a chain of {len(item['joints'])} rigid bodies"
-            + ("; its acceleration follows from the torque, for all masses" if item["motion"] is not None else "")
-            for item in of.lists["masses"]
-        ],
-        "kappa_above": None if kappa is None else str(kappa),
+        "robot": [described(item) for item in of.masses],
         "only_at_exact_values_of": sorted({node.value[0] for node in of.fixed}),
         "conclusions": shown,
-        "not_checked": texts,
+        "not_checked": [x for x in of.stated if x not in shown],
         "assumed": [*ASSUMED, *bounds, *dict.fromkeys(signs.assumed), *of.assumed],
     }
+
+
+def described(item):
+    chain = f"a chain of {len(item.joints)} rigid bodies"
+    if item.motion is None:
+        return chain
+    reads = ", ".join(sorted({x.value[0] for x in symbols(item.motion.torque)}))
+    return f"{chain}, whose acceleration follows from a torque of {reads}"
 
 
 def unique(pairs):
@@ -1058,15 +1010,16 @@ def unique(pairs):
 
 
 def main(arguments):
+    sys.stdout.reconfigure(errors="backslashreplace")
     paths = [x for x in arguments if x != "--json"]
     if len(paths) != 1:
         sys.stderr.write("usage: python check.py FILE [--json]\n")
         return 2
     try:
         with open(paths[0], encoding="utf-8") as file:
-            text = file.read(LONGEST)
-        need(len(text) < LONGEST, "the file is too long")
-        result, status = check(json.loads(text, object_pairs_hook=unique)), 0
+            content = file.read(LONGEST)
+        need(len(content) < LONGEST, "the file is too long")
+        result, status = check(json.loads(content, object_pairs_hook=unique, parse_constant=rational)), 0
     except Refuted as error:
         result, status = {"status": "refuted", "reason": str(error)}, 1
     except Exception as error:  # of a file that is no certificate

@@ -303,9 +303,13 @@ class ClosedLoop:
 
     @cached_property
     def _crossed(self) -> tuple[SX, SX]:
-        done = list[Leaf]()
-        for leaf in self.sampled_signals:
-            done.append(leaf.standing_for(_put([leaf.expression], columns(done))[0]))
+        done, waiting = list[Leaf](), list(self.sampled_signals)
+        while waiting:
+            later = symbols_in(leaf.symbol for leaf in waiting)
+            count = next((k for k, leaf in enumerate(waiting) if symbols_in([leaf.expression]) & later), len(waiting))
+            ready, waiting = waiting[:count], waiting[count:]  # one substitution keeps common subexpressions common
+            meanings = _put([leaf.expression for leaf in ready], columns(done))
+            done += map(Leaf.standing_for, ready, meanings)
         return columns(done)
 
     @cached_property

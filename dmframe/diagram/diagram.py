@@ -4,15 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, final
+from functools import cached_property, partial
+from typing import Any, Final, final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC, BlockModel, model_block
 from dmframe.block.port import Output
 from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
+from dmframe.block.steady import Steadiness
 from dmframe.block.symmetric import unique
-from dmframe.common.errors import DmframeError, MissingError, SizeError, UnitError, WiringError, raise_all
+from dmframe.common.copies import shared
+from dmframe.common.errors import (
+    BlockError,
+    DmframeError,
+    MissingError,
+    SizeError,
+    UnitError,
+    WiringError,
+    raise_all,
+)
 from dmframe.diagram.closed_loop import ClosedLoop, Parameter
 from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.flatten import flatten
@@ -29,6 +39,9 @@ from dmframe.diagram.wiring import (
     ways,
     wire_blocks,
 )
+
+LONG: Final = 5000
+"""Operations of all blocks from which on the check of their equations takes longer than a copy of the process."""
 
 
 @final
@@ -94,17 +107,43 @@ class Diagram:
             _, more = wire_blocks(blocks, declared_outputs(blocks), wires or {})
             raise_all([*_causes(faults, blocks, more), *more])
         symbolic = _symbolic(robot)
-        models = dict[str, BlockModel]()
+        models, unchecked = dict[str, BlockModel](), list[Steadiness]()
         for name, block in blocks.items():
             try:
-                models[name] = model_block(name, block, values[name], sizes, symbolic)
+                models[name] = model_block(name, block, values[name], sizes, symbolic, unchecked)
             except DmframeError as fault:
                 fault.path = fault.path or ("blocks", name)
                 faults.append(fault)
+        jobs = [partial(_unsteady, each) for each in unchecked]
+        with shared(jobs, busy=True, small=sum(model.size for model in models.values()) < LONG) as finished:
+            result: Diagram | DmframeError | None = None
+            if not faults:
+                try:
+                    result = cls._wired(blocks, wires or {}, robot, models, sizes, symbolic)
+                except DmframeError as fault:
+                    result = fault
+            faults += [fault for fault in finished() if fault is not None]
         raise_all(faults)
+        if not isinstance(result, Diagram):
+            raise result or TypeError(blocks)
+        for each in unchecked:
+            each.confirm()
+        return result
+
+    @classmethod
+    def _wired(
+        cls,
+        blocks: Mapping[str, AbstractBlock],
+        wires: Mapping[str, str],
+        robot: Any,
+        models: Mapping[str, BlockModel],
+        sizes: Sizes,
+        symbolic: Any,
+    ) -> Diagram:
+        """Wire and flatten blocks whose equations are well-formed."""
         produced = _produced(models)
-        sources, faults = wire_blocks(blocks, produced, wires or {})
-        faults += check_wires(blocks, produced, sources, sizes, wires or {})
+        sources, faults = wire_blocks(blocks, produced, wires)
+        faults += check_wires(blocks, produced, sources, sizes, wires)
         faults += check_truths(blocks, produced)
         raise_all(faults)
         resolver = Resolver(models, sources, sizes)
@@ -114,7 +153,7 @@ class Diagram:
             text = "blocks: too many blocks in a chain of direct feedthrough; put one with a state between them"
             raise WiringError(text, path=("blocks",)) from None
         raise_all(resolver.faults)
-        return cls(dict(blocks), sources, models, sizes, robot, loop, resolver)
+        return cls(dict(blocks), sources, dict(models), sizes, robot, loop, resolver)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -150,6 +189,16 @@ class Diagram:
 
     def __repr__(self) -> str:
         return f"<Diagram of {len(self.blocks)} blocks: {', '.join(self.blocks)}>"
+
+
+def _unsteady(steady: Steadiness) -> BlockError | None:
+    """The fault of equations that differ at other numbers."""
+    try:
+        steady.check()
+    except BlockError as fault:
+        fault.path = fault.path or ("blocks", steady.name)
+        return fault
+    return None
 
 
 def doubtful(blocks: Mapping[str, AbstractBlock], wires: Mapping[str, str], robot: Any = None) -> bool:

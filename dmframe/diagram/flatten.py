@@ -8,8 +8,8 @@ from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, symbols_in
 from dmframe.block.port import Side
 from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable
-from dmframe.diagram.pieces import Leaf
-from dmframe.diagram.resolve import Resolver, loop_fault
+from dmframe.diagram.pieces import Leaf, loop_fault
+from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.wiring import End, Wire
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
 from dmframe.block.port import Side
+from dmframe.common.errors import AlgebraicLoopError
 from dmframe.common.slices import slices
 
 
@@ -142,3 +143,11 @@ class Followed(NamedTuple):
     actual: str
     wanted: SX
     found: SX
+
+
+def loop_fault(ports: Sequence[str]) -> AlgebraicLoopError:
+    """The fault of an algebraic loop through these ports."""
+    remedy = "break it with a block whose output depends on its states only, such as a filter or an integrator"
+    fault = AlgebraicLoopError(ports, remedy)
+    fault.path = ("blocks", ports[0].partition(".")[0])
+    return fault

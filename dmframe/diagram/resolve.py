@@ -20,10 +20,14 @@ from dmframe.block.port import TIME, Access, Side, State
 from dmframe.block.sizes import Sizes
 from dmframe.common.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.diagram.bodies import TEN, Bodies
-from dmframe.diagram.pieces import Leaf
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.pieces import Leaf, loop_fault
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
 from dmframe.exact import zero_test
+
+_Key = tuple[str, ...]
+"""A field of a block's `Equations`, and the name of an output or state."""
 
 
 @final
@@ -40,13 +44,14 @@ class Resolver:
         self.projections = dict[End, Projection]()
         self.faults = list[DmframeError]()
         self._outputs, self._rates = dict[End, SX](), dict[End, SX]()
+        self._equations = dict[str, tuple[dict[_Key, SX], dict[_Key, tuple[str, ...]]]]()
         self._held = set[End]()
         self._open = list[str]()
 
     def with_outputs(self, outputs: Mapping[End, SX]) -> Resolver:
         """The same diagram with these outputs replaced by other expressions, wherever another block reads them."""
         other = copy(self)
-        other._outputs, other._rates, other.faults = dict(outputs), {}, []
+        other._outputs, other._rates, other._equations, other.faults = dict(outputs), {}, {}, []
         other.sampled_signals, other.projections = dict(self.sampled_signals), dict(self.projections)
         return other
 
@@ -54,9 +59,7 @@ class Resolver:
         """An output in the leaves of its own side."""
         end = (block, port)
         if end not in self._outputs:
-            expression = self.models[block].equations.outputs[port]
-            with self._entered(f"{block}.{port}") as free:
-                self._outputs[end] = self.expand(block, expression) if free else _unknown(end, expression)
+            self._outputs[end] = self._opened(f"{block}.{port}", block, "outputs", port)
         return self._outputs[end]
 
     def rate(self, block: str, state: str) -> SX:
@@ -65,25 +68,20 @@ class Resolver:
         if end not in self._rates:
             model = self.models[block]
             if state in model.equations.next:
-                rest = ca.SX.zeros(*model.states[state].shape)
+                self._rates[end] = rest = ca.SX.zeros(*model.states[state].shape)
                 self._projected(model, state, rest)
-                self._rates[end] = rest
                 return rest
-            stated = model.equations.rates[state]
-            with self._entered(f"d{block}.{state}/dt") as free:
-                rate = self.expand(block, stated) if free else _unknown(end, stated)
+            rate = self._opened(f"d{block}.{state}/dt", block, "rates", state)
             self._rates[end] = self._projected(model, state, rate)
         return self._rates[end]
 
     def next(self, block: str, state: str) -> SX | None:
         """The value of a sampled state one sample later, before projection; None for a continuous state."""
-        stated = self.models[block].equations.next.get(state)
-        return None if stated is None else self.expand(block, stated)
+        return self._own(block, "next", state) if state in self.models[block].equations.next else None
 
     def second(self, block: str, state: str) -> SX | None:
         """Second-order term of a state's step on a clock, divided by T^2; None for most states."""
-        stated = self.models[block].equations.second.get(state)
-        return None if stated is None else self.expand(block, stated)
+        return self._own(block, "second", state) if state in self.models[block].equations.second else None
 
     def input(self, block: str, port: str) -> SX:
         """An input, in the leaves of the block's side."""
@@ -102,7 +100,7 @@ class Resolver:
             case Derived():
                 with self._entered(f"{block}.{port}") as free:
                     held = self.input(block, source.of)
-                    return self.derivative(held, f"{block}.{port}") if free else _unknown((block, port), held)
+                    return self.derivative(held, f"{block}.{port}") if free else symbol(f"{block}.{port}", held.shape)
             case _:
                 return ca.SX.zeros(*model.inputs[port].shape)
 
@@ -131,13 +129,37 @@ class Resolver:
 
     def expand(self, block: str, expression: SX) -> SX:
         """An expression in a block's own symbols, with its inputs replaced by the signals that drive them."""
-        model = self.models[block]
-        needed = model.needs(expression)
-        if not needed:
-            return expression
-        own = [ca.vec(model.inputs[name]) for name in needed]
-        driven = [ca.vec(ca.densify(self.input(block, name))) for name in needed]
-        return ca.substitute([expression], [ca.vertcat(*own)], [ca.vertcat(*driven)])[0]
+        needed = self.models[block].needs(expression)
+        return self._replaced(block, [expression], {name: self.input(block, name) for name in needed})[0]
+
+    def _opened(self, node: str, block: str, *key: str) -> SX:
+        """One of a block's equations; a new symbol if the node is already being resolved."""
+        with self._entered(node) as free:
+            return self._own(block, *key) if free else symbol(node, self.models[block].equations.named[key].shape)
+
+    def _own(self, block: str, *key: str) -> SX:
+        """One of a block's equations, with its inputs replaced.
+
+        Each input is replaced once, in all equations, so that their common subexpressions stay common.
+        """
+        if block not in self._equations:
+            model = self.models[block]
+            stated = model.equations.named
+            self._equations[block] = dict(stated), {other: model.needs(x) for other, x in stated.items()}
+        known, left = self._equations[block]
+        signals = {name: self.input(block, name) for name in left[key]}
+        signals = {name: signals[name] for name in left[key]}  # these calls may have replaced some of them
+        reading = [other for other, names in left.items() if not signals.keys().isdisjoint(names)]
+        known.update(zip(reading, self._replaced(block, [known[other] for other in reading], signals), strict=True))
+        left.update((other, tuple(name for name in left[other] if name not in signals)) for other in reading)
+        return known[key]
+
+    def _replaced(self, block: str, expressions: Sequence[SX], signals: Mapping[str, SX]) -> Sequence[SX]:
+        """Expressions in a block's own symbols, with some of its inputs replaced."""
+        if not signals:
+            return expressions
+        own = stack(self.models[block].inputs[name] for name in signals)
+        return list(ca.substitute(expressions, [own], [stack(signals.values())]))
 
     def derivative(self, expression: SX, wanted_by: str) -> SX:
         """Total time derivative along the equations of the expression's own side; `wanted_by` is its reader."""
@@ -367,14 +389,6 @@ class Resolver:
             self._open.pop()
 
 
-def loop_fault(ports: Sequence[str]) -> AlgebraicLoopError:
-    """The fault of an algebraic loop through these ports."""
-    remedy = "break it with a block whose output depends on its states only, such as a filter or an integrator"
-    fault = AlgebraicLoopError(ports, remedy)
-    fault.path = ("blocks", ports[0].partition(".")[0])
-    return fault
-
-
 def _is_zero(difference: SX) -> bool:
     """True if it vanishes identically."""
     if difference.is_zero():
@@ -384,7 +398,3 @@ def _is_zero(difference: SX) -> bool:
         return zero_test(ca.Function("difference", [symbols], [difference])).zero
     except ValueFault:
         return False
-
-
-def _unknown(end: End, like: SX) -> SX:
-    return symbol(".".join(end), like.shape)

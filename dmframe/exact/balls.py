@@ -83,17 +83,19 @@ def enclosed(
 ) -> list[arb]:
     """Enclosures of all nodes of a program.
 
-    Parameters
-    ----------
-    Stored elements of each argument.
-        For each argument, its stored elements.
-    Ball of a literal, by default `ball`.
-        The ball of a literal, by default `ball`.
-    override
-        Maps the position of a node and the values before it to a value that replaces the node's own, or to None.
-
     An undecided comparison is `UNDECIDED`, and so are "not", "and" and "or" of it. Raises `UndecidedError` if another
     operation depends on it, if an operation is not defined on the whole ball, or if an operation has no rule.
+
+    Parameters
+    ----------
+    inputs
+        Stored elements of each argument.
+    constant
+        Ball of a literal, by default `ball`.
+    override
+        Maps the position of a node and the values before it to a value that replaces the node's own, or to None.
+    bits
+        Precision of the balls.
     """
     values = list[arb]()
 

@@ -90,10 +90,16 @@ def zero_test(
     bits : size of the random primes, >= 121.
     primes : primes to use, one trial each, instead of random ones.
 
-    Raises `ValueFault` for a function that cannot be read, or whose denominators vanish identically,
-    `UnknownNameError` and `ShapeError` for values that do not fit.
+    Raises
+    ------
+    ValueFault
+        For a function that cannot be read, or whose denominators vanish identically.
+    UnknownNameError, ShapeError
+        For values that do not fit.
 
-    References: Schwartz, J. ACM 27 (1980); Zippel, EUROSAM 1979; Gonnet, STOC 1984.
+    References
+    ----------
+    Schwartz, J. ACM 27 (1980); Zippel, EUROSAM 1979; Gonnet, STOC 1984.
     """
     if trials < 1:
         raise ValueFault(f"zero test of {f.name()}: expected at least 1 trial, found {trials}")

@@ -115,6 +115,27 @@ class Sizes:
             found = self._inverses[id(value)] = (value, value.power(-1))  # keeps the object alive, and so its id unique
         return found[1]
 
+    def inverse_matrix(self, rows: Sequence[Sequence[Size | int]]) -> list[list[Size]]:
+        """The inverse of a matrix W, by Cramer's rule; the numerator of its determinant must not vanish.
+
+        With B_i the product of the denominators of row i, N = diag(B) W has polynomial entries, and W^-1 has the
+        entries cof_ji(N) B_j / det N. A minor of N is a sum of products with one factor from each row. Its degree is
+        therefore at most the sum of the largest degrees of these rows, and its height at most the sum of their heights,
+        where the height of a row is that of the sum of its entries.
+        """
+        sized, more = [list(map(_sized, row)) for row in rows], max(len(rows) - 1, 0).bit_length()
+        below = [(sum(x.denominator for x in row), sum(x.height_denominator for x in row)) for row in sized]
+        pairs = list(zip(sized, below, strict=True))
+        degrees = [max(x.degree - x.denominator for x in row) + degree for row, (degree, _) in pairs]
+        heights = [max(x.height - x.height_denominator for x in row) + height + more for row, (_, height) in pairs]
+        degree, height = sum(degrees), sum(heights)
+        self.inverse(Size(degree, 0, height, 0))  # counts the determinant
+        columns = [
+            (degree - of + lower, height - size + high)
+            for of, size, (lower, high) in zip(degrees, heights, below, strict=True)
+        ]
+        return [[Size(above, degree, size, height) for above, size in columns] for _ in rows]
+
     def power(self, value: Size, exponent: int) -> Size:
         """An integer power."""
         return value.power(exponent) if exponent >= 0 else self.inverse(value).power(-exponent)

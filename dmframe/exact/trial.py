@@ -30,8 +30,7 @@ class Trial:
       x = 0 too, so that a sign is 0 only if the operation is sign itself. Then |x| can be evaluated as 0 or as x, both
       true at x = 0; an identity must be valid in one of these evaluations (`fabs_is_argument_at_zero`).
     - Any other function is a free random value, including fmin, fmax, comparisons, if_else and floor. This is sound,
-    also
-      at switching points: an identity that is valid for free values is valid for the function's values. It is not
+      also at switching points: an identity that is valid for free values is valid for the function's values. It is not
       complete: tanh(x) + tanh(-x) = 0 and fmin(x, y) + fmax(x, y) = x + y are not detected. if_else_zero and "not" have
       their values if the condition is 0 or 1, or if the value is 0.
 

@@ -84,7 +84,7 @@ class PrintedLaw:
         one sample later.
     storage, dissipation, residual, errors
         Terms of the certificate, in its order; S is half the sum of the first, and the last are in no sum.
-    driven
+    linear
         The bounded signals of each `StableLinear` of the certificate, in its order.
     estimates
         True values of the estimates, by the estimate's name.

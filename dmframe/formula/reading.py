@@ -77,7 +77,7 @@ class Reading:
 
     Parameters
     ----------
-    where
+    name
         The block's name in messages.
     zero
         Inputs that are not driven.

@@ -78,7 +78,12 @@ def base_parameters(chain: SerialChain, friction: Collection[str] = (), *, symbo
     friction : any of "viscous", "coulomb", and "rotor" for the inertia of each joint's rotor
     symbolic : False leaves `BaseParameters.symbolic` in decimal numbers, which is quicker
 
-    Raises `UnknownNameError` for another kind of friction, `RobotError` if the fractions of two primes never agree.
+    Raises
+    ------
+    UnknownNameError
+        For another kind of friction.
+    RobotError
+        If the fractions of two primes never agree.
 
     References
     ----------

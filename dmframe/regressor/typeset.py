@@ -74,7 +74,12 @@ def write_out(chain: SerialChain, friction: Collection[str] = (), keep: Sequence
     friction : any of "viscous", "coulomb", "rotor", as columns of Y_d
     keep : columns of Y_d, such as `BaseParameters.independent`; all by default
 
-    Raises `ValueFault` for a larger robot, `UnknownNameError` for another kind of friction.
+    Raises
+    ------
+    ValueFault
+        For a larger robot.
+    UnknownNameError
+        For another kind of friction.
     """
     regressor = full_regressor(chain, friction)
     if chain.n > MOST_JOINTS:

@@ -72,7 +72,10 @@ class DynamicParameters:
     bias
         True if each joint has a constant torque as a parameter.
 
-    Raises `UnknownNameError` for another kind of friction.
+    Raises
+    ------
+    UnknownNameError
+        For another kind of friction.
     """
 
     chain: SerialChain

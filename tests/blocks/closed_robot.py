@@ -16,7 +16,7 @@ V_0 = 0.005  # [rad/s] of Coulomb friction, tanh(dq / V_0)
 
 @dataclass
 class ClosedRobot:
-    """Pinocchio's model of revolute joints, the friction of each joint, and the gains of its servo."""
+    """Pinocchio's model of revolute joints, the friction of each joint, the gains of its servo, and rotors if any."""
 
     model: Any
     viscous: Array
@@ -24,10 +24,13 @@ class ClosedRobot:
     K_D: Array
     K_P: Array
     K_I: Array
+    rotor: Array | None = None
     data: Any = field(init=False)
 
     def __post_init__(self) -> None:
         self.data = self.model.createData()
+        if self.rotor is not None:
+            self.model.armature = self.rotor
 
     def regressor(self, q: Array, dq: Array, v: Array, a: Array) -> Array:
         """M a + C(q, dq) v + g, with polarised products of two velocities, plus friction."""
@@ -37,7 +40,8 @@ class ClosedRobot:
 
         zero = np.zeros(len(q))
         inertial = Y(zero, a) + (Y(dq + v, zero) - Y(dq, zero) - Y(v, zero) + Y(zero, zero)) / 2
-        return np.hstack([inertial, np.diag(v), np.diag(np.tanh(v / V_0))])
+        rotors = [] if self.rotor is None else [np.diag(a)]
+        return np.hstack([inertial, *rotors, np.diag(v), np.diag(np.tanh(v / V_0))])
 
     def held(self, q: Array) -> Array:
         """Equilibrium state: joints, velocities, commands, and the integral that compensates gravity."""

@@ -181,7 +181,7 @@ def test_a_tool_that_comes_nearer_than_the_configured_depth_gives_a_notice() -> 
 
 K_D = np.array([800.0, 800, 400])
 K_P, K_I = 2.2 * K_D, 0.7 * K_D
-VISCOUS, COULOMB = np.array([5.0, 5, 2]), np.array([8.0, 8, 4])
+VISCOUS, COULOMB, ROTOR = np.array([19.7, 16.8, 8.9]), np.array([13.6, 14.9, 5.8]), np.array([2.5, 4.7, 1.2])
 K_1, K_2, ALPHA, GAMMA_C, GAMMA, K_C, T = 10, 8, 1000, 1.0, 10.0, 0.7, 0.008
 
 
@@ -189,9 +189,9 @@ class ByHand:
     """`ur10_camera` in NumPy and Pinocchio: camera, reference, adaptive laws, servo and robot."""
 
     def __init__(self, experiment: Graph) -> None:
-        self.model = experiment.diagram.robot.model
+        self.model = experiment.diagram.robot.model.copy()
         self.data, self.tool = self.model.createData(), self.model.getFrameId("ee_link")
-        self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
+        self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I, ROTOR)
 
     def image(self, q: Array) -> tuple[Array, Array]:
         """Image of the tool, and the Jacobian of its position."""
@@ -203,7 +203,7 @@ class ByHand:
         """The signals at each sample; Euler steps for the controller's states."""
         plant = self.robot.held(q)
         q_tie, z, y, w, w_P, w_I = q, np.zeros(3), np.zeros(3), np.zeros(3), np.full(3, 2.0), np.full(3, 0.7)
-        a, a_c = np.zeros(36), GUESS
+        a, a_c = np.zeros(39), GUESS
         kept: dict[str, list[Array]] = {name: [] for name in ("q", "dq_c", "e", "a_c", "a")}
         for _ in range(ticks + 1):
             q, dq, q_c, _ = plant.reshape(4, 3)
@@ -245,12 +245,12 @@ def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
     np.testing.assert_allclose(theirs["dynamics.a_d_hat"], mine["a"], atol=1e-4)
 
 
-def test_the_clock_of_8_ms_is_tolerated_and_proved_so_near_the_set_point_and_five_times_as_slow_a_one_is_not() -> None:
+def test_the_clock_of_8_ms_is_tolerated_and_proved_so_near_the_set_point_and_seven_times_as_slow_a_one_is_not() -> None:
     graph = dm.load("ur10_camera")
     found = linearise(graph.diagram, start=graph.start, clock=T)
     period = linearised_period(found)
-    assert T < period.stable < period.unstable < 5 * T
+    assert T < period.stable < period.unstable < 7 * T
     proof, _ = prove_stability(graph.diagram, found, period, T)
     assert proof.radius is not None
     assert proof.radius < 1
-    assert (proof.directions, proof.resting) == (20, 55)
+    assert (proof.directions, proof.resting) == (20, 58)

@@ -272,21 +272,22 @@ def test_a_load_put_into_the_hand_behind_a_delay_is_tolerated_by_the_packaged_ga
 
 
 V_0 = 0.005  # [rad/s] of Coulomb friction
-K_D = np.array([800, 800, 400, 16, 8, 0.8])
+K_D = np.array([800, 800, 400, 100, 100, 100])
 K_P, K_I = 2.2 * K_D, 0.7 * K_D
-VISCOUS, COULOMB = np.array([5, 5, 2, 0.2, 0.1, 0.01]), np.array([8.0, 8, 4, 0, 0, 0])
+VISCOUS, COULOMB = np.array([19.7, 16.8, 8.9, 3.9, 2.7, 3.2]), np.array([13.6, 14.9, 5.8, 2.6, 3.3, 2.5])
+ROTOR = np.array([2.5, 4.7, 1.2, 0.57, 0.32, 0.45])
 LEVER, GAMMA, K_C, GAIN, BREATH, T = 0.5, 8.0, 6.0, 10.0, 1.0, 0.008
-W, LAMBDA = np.array([2e-4, 2e-4, 4e-4, 1.25e-3, 2.5e-3, 2.5e-2]), np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
-W_ENDS = np.array([[1e-4, 1e-4, 2e-4, 6e-4, 1.2e-3, 1.2e-2], [0.0025, 0.0025, 0.005, 0.125, 0.25, 2.5]])
+W, LAMBDA = np.array([2e-4, 2e-4, 4e-4, 1.6e-3, 1.6e-3, 1.6e-3]), np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
+W_ENDS = np.array([[1e-4, 1e-4, 2e-4, 8e-4, 8e-4, 8e-4], [0.0025, 0.0025, 0.005, 0.02, 0.02, 0.02]])
 
 
 class ByHand:
     """`ur10_pose` with a faster start, in NumPy and Pinocchio: path, reference, adaptive law, servo and robot."""
 
     def __init__(self) -> None:
-        self.model = load("ur10").model
+        self.model = load("ur10").model.copy()
         self.tool, self.data = self.model.getFrameId("ee_link"), self.model.createData()
-        self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
+        self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I, ROTOR)
 
     def path(self, t: float) -> tuple[Array, Array, Array]:
         """R_d, x_d, and the velocities of both: the tool is tilted by b about the horizontal axis n."""
@@ -311,7 +312,7 @@ class ByHand:
     def run(self, q: Array, ticks: int) -> dict[str, Array]:
         """The controller's signals at each sample; Euler steps for its states."""
         plant = self.robot.held(q)
-        q_r, z, w, w_P, w_I, a = q, np.zeros(6), W, np.full(6, 2.0), np.full(6, 0.7), np.zeros(72)
+        q_r, z, w, w_P, w_I, a = q, np.zeros(6), W, np.full(6, 2.0), np.full(6, 0.7), np.zeros(78)
         kept: dict[str, list[Array]] = {name: [] for name in ("q", "dq_c", "w", "a", "turn")}
         h = 1e-5
         for k in range(ticks + 1):
@@ -399,7 +400,7 @@ def test_a_source_that_no_block_reads_is_reported() -> None:
     assert not [text for text in taken.notices if "no block reads" in text]
 
 
-SAMPLED = {"type": "sampled_inverse", "servo": "pid", "w_0": [0.00125, 0.00125, 0.0025, 0.1, 0.2, 2], "replay": 8}
+SAMPLED = {"type": "sampled_inverse", "servo": "pid", "w_0": [0.00125, 0.00125, 0.0025, 0.01, 0.01, 0.01], "replay": 8}
 
 
 def test_the_sampled_inverse_takes_its_reference_on_a_slow_clock() -> None:
@@ -410,4 +411,4 @@ def test_the_sampled_inverse_takes_its_reference_on_a_slow_clock() -> None:
     assert plain.turn is not None
     assert learnt.turn is not None
     figures = [each.rms_final for each in (learnt.error, learnt.turn, plain.error, plain.turn)]
-    np.testing.assert_allclose(np.array(figures, dtype=float), [5.49e-4, 0.0306, 1.52e-3, 0.0427], rtol=0.02)
+    np.testing.assert_allclose(np.array(figures, dtype=float), [5.72e-4, 0.0350, 3.21e-3, 0.239], rtol=0.02)

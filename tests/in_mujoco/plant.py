@@ -64,7 +64,7 @@ class Plant:
         Inertia of each rotor about its joint's axis [kg m^2].
     mass_scale
         Factors of links' masses and inertias, by name.
-    Bodies at the tool, each until the next.
+    loads
         Bodies held by the tool, each until the next.
     """
 

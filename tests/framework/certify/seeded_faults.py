@@ -129,7 +129,10 @@ def mutants_of(
     arguments
         Names, each of which is replaced by another.
 
-    Raises `CompileError` if the unchanged source does not reproduce the function.
+    Raises
+    ------
+    CompileError
+        If the unchanged source does not reproduce the function.
     """
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     unchanged = ast.unparse(tree)

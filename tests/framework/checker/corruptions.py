@@ -23,7 +23,7 @@ from typing import Any, Final
 
 sys.path.insert(0, str(Path(__file__).parents[3]))
 
-from tests.framework.checker.certificates import SAME, certificate, in_node, result
+from tests.framework.checker.certificates import certificate, common, in_node, result
 
 NAMES: Final = (
     "pendulum",
@@ -37,7 +37,7 @@ NAMES: Final = (
     "theorem_1",
     "ur10_fast",
 )
-KINDS: Final = ("parameter", "constant", "weight", "state", "trajectory", "projection", "time", "command", "noise")
+KINDS: Final = ("parameter", "constant", "state", "trajectory", "projection", "time", "command", "noise")
 FUNCTIONS: Final[dict[str, Any]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
@@ -82,17 +82,16 @@ def changed(value: Any, path: Path_, data: dict[str, Any], rng: random.Random) -
         key = path[-1]
         choices = {
             "kind": KINDS,
-            "role": ("stored", "dissipated", "residual", "cross"),
+            "role": ("stored", "dissipated", "residual"),
             "rule": ("square", "monotone", "potential", "normalised", "least_squares"),
             "says": ("is bounded", "goes to zero", "is square-integrable"),
-            "level": ("", "kappa"),
             "over": ("flow", "sample"),
         }
         if key in choices:
             return rng.choice(choices[key])
         if "operations" in path:
             return rng.choice(list(FUNCTIONS))
-        if key in ("state", "correction", "estimate"):
+        if key in ("state", "estimate"):
             return rng.choice([item["label"] for item in data["symbols"]])
         try:
             number = Fraction(value)
@@ -157,16 +156,14 @@ class Numbers:
         return sum(x * (y - z) * (phi(y / v, 0) - phi(z / v, 0)) for x, y, z, v in rows)
 
 
-def point(data: dict[str, Any], rng: random.Random, kappa: Fraction) -> dict[str, list[float]]:
+def point(data: dict[str, Any], rng: random.Random) -> dict[str, list[float]]:
     """Random values of all symbols, with the file's parameters, and without corrections of projections."""
     found = dict[str, list[float]]()
     for item in data["symbols"]:
         own = [rng.uniform(-1.3, 1.3) for _ in range(item["size"])]
-        if "values" in item or "numbers" in item:
-            pairs = item.get("numbers") or [[x, x] for x in item["values"]]
-            own = [float(Fraction(low)) * (1 - (s := rng.random())) + float(Fraction(high)) * s for low, high in pairs]
-        elif item["kind"] == "weight":
-            own = [1.5 * float(kappa) + 0.1]
+        if item["numbers"] is not None:
+            ends = [(float(Fraction(low)), float(Fraction(high))) for low, high in item["numbers"]]
+            own = [low * (1 - (s := rng.random())) + high * s for low, high in ends]
         elif item["kind"] == "projection":
             own = [0.0] * item["size"]
         found[item["label"]] = own
@@ -177,24 +174,24 @@ def stated(data: dict[str, Any], symbols: dict[str, list[float]]) -> list[float]
     """Numbers of which the file's statement consists: terms, rates and all vectors that its statements name."""
     at, found = Numbers(data, symbols), list[float]()
     for term in data["terms"]:
-        found += [at.term(term), float(hash((term["role"], term["level"]))), float("assumed" in term)]
+        found += [at.term(term), float(hash(term["role"])), float(bool(term["assumed"]))]
     for label, k in sorted(data["rates"].items()):
         found += [float(hash(label)), *at.vectors[k]]
-    for key in ("cross", "projections", "masses", "linear", "ranks", "steps", "conditions", "conclusions"):
+    for key in ("projections", "masses", "linear", "ranks", "steps", "conditions", "conclusions"):
         for path, value in leaves(data.get(key, [])):
             named = type(value) is int and path[-1:] not in (("term",), ("rows",)) and "sizes" not in path
-            found += at.vectors[value] if named and "by" not in path else [float(hash(str((path, value))))]
+            found += at.vectors[value] if named else [float(hash(str((path, value))))]
     return found
 
 
-def same(data: dict[str, Any], original: dict[str, Any], kappa: Fraction) -> bool:
+def same(data: dict[str, Any], original: dict[str, Any]) -> bool:
     """True if a file states the same as the original at random points: kinds, numbers and all values are the same."""
     keys = ("format", "version", "over", "symbols")
     if any(data[key] != original[key] for key in keys):
         return False
     rng = random.Random(1)
     for _ in range(3):
-        symbols = point(original, rng, kappa)
+        symbols = point(original, rng)
         symbols |= {k: [rng.uniform(-1, 1) for _ in x] for k, x in symbols.items() if k.endswith(", correction")}
         try:
             one, other = stated(data, symbols), stated(original, symbols)
@@ -211,7 +208,7 @@ def holds(data: dict[str, Any], found: dict[str, Any]) -> str:
     """What a file states, and that does not hold at random points; empty if all holds."""
     rng, points = random.Random(2), 0
     for _ in range(30):
-        symbols = point(data, rng, Fraction(found["kappa_above"] or 0))
+        symbols = point(data, rng)
         try:
             fault = _fault(data, found, symbols, Numbers(data, symbols))
         except (ArithmeticError, ValueError):
@@ -229,7 +226,7 @@ def _fault(data: dict[str, Any], found: dict[str, Any], symbols: dict[str, list[
         if term["role"] in ("stored", "dissipated") and at.term(term) < -1e-9:
             return f"{term['name']} is negative"
     for item in data["conditions"]:
-        decided = "margin" in item and f"condition: {item['name']}" not in found["assumed"]
+        decided = item["margin"] is not None and f"condition: {item['name']}" not in found["assumed"]
         if decided and min(at.vectors[item["margin"]]) < 0:
             return f"condition {item['name']}"
     for item in data.get("projections", []):
@@ -254,26 +251,22 @@ def _moved(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers, h
 def _decrease(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers) -> str:
     """V is positive, and dV/dt, by differences, is at most the residual; without corrections of projections."""
 
-    def level(term: dict[str, Any]) -> float:
-        return symbols[term["level"]][0] if term["level"] else 1.0
-
     def V(h: float) -> float:
         moved = Numbers(data, _moved(data, symbols, at, h))
-        return sum(level(x) * moved.term(x) for x in data["terms"] if x["role"] == "stored") / 2
+        return sum(moved.term(x) for x in data["terms"] if x["role"] == "stored") / 2
 
     rate, h = math.inf, 1e-2
-    size = sum(abs(level(x) * at.term(x)) for x in data["terms"])
+    size = sum(abs(at.term(x)) for x in data["terms"])
     for _ in range(5):  # the differences of a smooth V converge
         h, before = h / 8, rate
         rate = (8 * (V(h) - V(-h)) - (V(2 * h) - V(-2 * h))) / (12 * h)
         if abs(rate - before) < 1e-5 * (size + abs(rate)):
             break
-    lost = sum(level(x) * at.term(x) for x in data["terms"] if x["role"] == "dissipated")
-    gained = sum(level(x) * at.term(x) for x in data["terms"] if x["role"] in ("cross", "residual"))
+    lost = sum(at.term(x) for x in data["terms"] if x["role"] == "dissipated")
+    gained = sum(at.term(x) for x in data["terms"] if x["role"] == "residual")
     if abs(rate + lost - gained) > 1e-3 * (size + abs(rate)) + 1e-6:
         return f"dV/dt: {rate} is not {gained - lost}"
-    residual = sum(level(x) * at.term(x) for x in data["terms"] if x["role"] == "residual")
-    return "V increases" if rate > residual + 1e-3 * (size + abs(rate)) + 1e-6 else ""
+    return "V increases" if rate > gained + 1e-3 * (size + abs(rate)) + 1e-6 else ""
 
 
 def _steps(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers) -> str:
@@ -313,7 +306,7 @@ def judged(tasks: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
     others = [(k, data, own) for k, (outcome, _, data, own) in enumerate(found) if outcome == TRUE]
     outcomes = [(outcome, where) for outcome, where, *_ in found]
     for (k, _, own), other in zip(others, in_node([data for _, data, _ in others]), strict=True):
-        if any(other.get(key) != own[key] for key in SAME):
+        if common(other) != common(own):
             outcomes[k] = ("FALSE", f"{outcomes[k][1]}: the other checker: {other}")
     return outcomes
 
@@ -325,17 +318,13 @@ def _judged(name: str, seed: int) -> tuple[str, str, dict[str, Any], dict[str, A
     found = result(data)
     if found["status"] != "re-proved":
         return found["status"], where, data, found
-    if (
-        path[0] in ("about", "assumed")
-        or path[-1] in ("name", "signal", "assumes", "assumed", "says")
-        or "assumes" in path
-    ):
+    if path[0] in ("about", "assumed") or path[-1] in ("name", "signal", "assumed", "says"):
         shown = {**found, "log2_error": 0, "points": 0} != {**accepted(name), "log2_error": 0, "points": 0}
         if path[-1] != "says":
             hidden = not shown and (path[0] == "assumed" or path[-1] == "assumed")
             return ("FALSE" if hidden else "a text, which the result shows" if shown else "a text"), where, data, found
     try:
-        if same(data, original, Fraction(found["kappa_above"] or 0)):
+        if same(data, original):
             return "an equal function", where, data, found
         fault = holds(data, found)
     except (LookupError, TypeError) as error:

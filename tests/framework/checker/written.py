@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-FLOW: Final = ("cross", "projections", "masses", "linear", "ranks")
+LISTS: Final = ("symbols", "vectors", "terms", "projections", "masses", "linear", "ranks", "steps", "conditions")
 
 
 class File:
@@ -13,9 +13,8 @@ class File:
     def __init__(self, over: str = "flow") -> None:
         self.names = ["const", "input", "add", "sub", "mul", "div", "sin", "tanh"]
         program: dict[str, list[Any]] = {"operations": self.names, "code": [], "a": [], "b": [], "constants": []}
-        self.data: dict[str, Any] = {"format": "dmframe-certificate", "version": 2, "about": {}, "over": over}
-        lists = ("symbols", "vectors", "terms", "conditions", "conclusions", "assumed")
-        self.data |= {key: [] for key in (*lists, *(FLOW if over == "flow" else ("steps",)))}
+        self.data: dict[str, Any] = {"format": "dmframe-certificate", "version": 3, "about": {}, "over": over}
+        self.data |= {key: [] for key in (*LISTS, "conclusions", "assumed")}
         self.data |= {"program": program, "rates": {}}
 
     def instruction(self, name: str, a: int, b: int = 0) -> int:
@@ -23,8 +22,9 @@ class File:
             self.data["program"][key].append(value)
         return len(self.data["program"]["code"]) - 1
 
-    def symbol(self, label: str, kind: str, **more: Any) -> int:
-        self.data["symbols"].append({"label": label, "kind": kind, "size": 1, **more})
+    def symbol(self, label: str, kind: str, numbers: Any = None, *, size: int = 1, exact: bool = False) -> int:
+        item = {"label": label, "kind": kind, "size": size, "numbers": numbers, "exact": exact}
+        self.data["symbols"].append(item)
         return self.instruction("input", len(self.data["symbols"]) - 1)
 
     def number(self, value: str) -> int:
@@ -35,10 +35,13 @@ class File:
         self.data["vectors"].append([len(places), list(places)])
         return len(self.data["vectors"]) - 1
 
-    def term(self, role: str, vector: int, weight: int, level: str = "") -> None:
-        parts = {"vector": vector, "weight": weight}
-        name = f"{role} {len(self.data['terms'])}"
-        self.data["terms"].append({"name": name, "level": level, "role": role, "rule": "square", "parts": parts})
+    def term(self, role: str, vector: int, weight: int, assumed: str | None = None) -> None:
+        parts, name = {"vector": vector, "weight": weight}, f"{role} {len(self.data['terms'])}"
+        item = {"name": name, "role": role, "rule": "square", "parts": parts, "assumed": assumed, "phi": None}
+        self.data["terms"].append(item)
+
+    def condition(self, margin: int | None, name: str = "open", *, strict: bool = True) -> None:
+        self.data["conditions"].append({"name": name, "margin": margin, "strict": strict})
 
     def states(self, **rates: str) -> dict[str, int]:
         """States with a rate that is a sum of multiples of states: ``x="-1 x +2 y"``."""
@@ -54,7 +57,7 @@ class File:
 
 def concluded(data: dict[str, Any], vector: int, says: str = "goes to zero", signal: str = "w") -> None:
     """Add a conclusion about a signal."""
-    data["conclusions"].append({"signal": signal, "says": says, "assumes": [], "vector": vector})
+    data["conclusions"].append({"signal": signal, "says": says, "vector": vector})
 
 
 def constant(data: dict[str, Any], *values: str, rows: int = 0) -> int:
@@ -80,19 +83,18 @@ def stable() -> File:
     return file
 
 
-def dominated(*, weight: tuple[str, ...] = ("3/5",), role: str = "cross") -> File:
-    """dx/dt = -x + c (x + y), dy/dt = -y + c (x + y) is unstable for c = 3/5; c |x + y|^2 is a cross term."""
+def dominated(c: str = "3/5", *, off: str = "") -> File:
+    """dx/dt = -x + c (x + y), dy/dt = -y + c (x + y) is unstable for c = 3/5.
+
+    The dissipation is that of the matrix 1 - c [1 1; 1 1], with `off` in place of its element (2, 1).
+    """
     file = File()
-    c = weight[0]
     total = {"3/5": "2/5", "1/5": "4/5"}[c]
     places = file.states(x=f"-{total} x +{c} y", y=f"-{total} y +{c} x")
-    x, y, one = file.vector(places["x"]), file.vector(places["y"]), file.vector(file.number("1"))
-    both = file.vector(file.instruction("add", places["x"], places["y"]))
-    for role_ in ("stored", "dissipated"):
-        file.term(role_, x, one)
-        file.term(role_, y, one)
-    file.term(role, both, file.vector(*map(file.number, weight)))
-    file.data["cross"] = [{"term": 4, "by": [[one, 2], [one, 3]]}]
+    x, both = file.vector(places["x"]), file.vector(places["x"], places["y"])
+    file.term("stored", both, file.vector(file.number("1"), file.number("1")))
+    matrix = (total, off or f"-{c}", f"-{c}", total)
+    file.term("dissipated", both, file.vector(*map(file.number, matrix)))
     concluded(file.data, x)
     return file
 
@@ -118,7 +120,7 @@ def circular(*, nominal: str) -> dict[str, Any]:
     file.term("dissipated", file.data["terms"][2]["parts"]["vector"], unit)
     own = {"set": "box", "true": zero, "lower": low, "upper": high}
     for k, label in enumerate("ab"):
-        item = {"term": k, "state": label, "correction": f"{label}, correction", **own}
+        item = {"term": k, "state": label, **own}
         file.data["projections"].append(item)
     concluded(file.data, file.data["rates"]["a"], "is bounded")
     return file.data

@@ -176,3 +176,35 @@ def test_steps_are_no_larger_than_it_states(rule: Any, sizes: tuple[int, ...], r
     for name in reported.moves:
         assert held(true.moves[name], reported.moves[name])
     assert held([true.moved, true.lost, true.gained], [reported.moved, reported.lost, reported.gained]) == 3
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_an_inverse_matrix_is_no_larger_than_it_states(n: int) -> None:
+    """Compared with the adjugate of the polynomial matrix diag(B) W, B_i the product of the denominators of row i."""
+    import sympy
+
+    x, y, z = sympy.symbols("x y z")
+    tops, bottoms = [x + 2 * y, 3 * x * z, y - 5, x * x + 1, 7], [z + 3, 1 + x * x, 2, y]
+    W = [[(tops[(2 * i + j) % 5], bottoms[(i + 3 * j) % 4]) for j in range(n)] for i in range(n)]
+    given = [[_size_of(sympy.sympify(a), sympy.sympify(b)) for a, b in row] for row in W]
+    ring = Sizes()
+    reported = ring.inverse_matrix(given)
+    B = [sympy.prod([b for _, b in row]) for row in W]
+    N = sympy.Matrix(n, n, lambda i, j: sympy.cancel(B[i] * W[i][j][0] / W[i][j][1]))
+    adjugate, determinant = N.adjugate(), sympy.expand(N.det())
+    true = [[Quotient(adjugate[i, j] * B[j], determinant) for j in range(n)] for i in range(n)]
+    assert sum(map(held, true, reported)) == n * n
+    whole = ring.bound([])
+    assert not exceeds(determinant, whole.degree_total, whole.height_total)  # it must not vanish
+    assert len({id(entry) for row in reported for entry in row}) == n * n
+
+
+def _size_of(numerator: Any, denominator: Any) -> Size:
+    import sympy
+
+    counts = []
+    for polynomial in (numerator, denominator):
+        terms = sympy.Poly(polynomial, *sympy.symbols("x y z"))
+        counts.append((int(terms.total_degree()), sum(abs(int(c)) for c in terms.coeffs())))
+    (degree, size), (lower, other) = counts
+    return Size(degree, lower, (size - 1).bit_length(), (other - 1).bit_length())
