@@ -114,6 +114,9 @@ def _from_file(base: Path, file: str, class_name: str, where: str) -> type[Abstr
     found = getattr(module, class_name, None)
     if _is_block(found):
         return found
+    if inspect.isclass(found) and issubclass(found, AbstractBlock) and found is not AbstractBlock:
+        missing = " and ".join(f"{name}()" for name in sorted(found.__abstractmethods__))
+        raise BlockError(f"{where}: {path.name}:{class_name} has no {missing}; add it to the class")
     if found is not None:
         raise BlockError(f"{where}: {path.name}:{class_name} is no block; expected a subclass of AbstractBlock")
     choices = [name for name, item in vars(module).items() if _is_block(item) and item.__module__ == module.__name__]
@@ -189,8 +192,16 @@ def _found(name: str, noun: str, packaged: Callable[[], dict[str, Path]]) -> Pat
         return path
     known = packaged()
     if name not in known:
-        raise UnknownNameError(name, noun, name, known)
+        raise UnknownNameError(name, noun, name, known, others=_hint(name, noun))
     return known[name]
+
+
+def _hint(name: str, noun: str) -> str:
+    """The file that was probably meant, or how to list the packaged graphs; empty for other nouns, which are few."""
+    files = [f"{name}{ending}" for ending in (".yaml", ".yml") if is_file(expanded(f"{name}{ending}"))]
+    if files:
+        return f"did you mean {files[0]}?"
+    return "`dmframe graphs` lists the packaged ones, and the name of a file ends in .yaml" if noun == "graph" else ""
 
 
 def find_twin(servo: str) -> Path:

@@ -8,13 +8,15 @@ import threading
 from collections.abc import Iterator
 from fnmatch import translate
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from flint import fmpz
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
-from dmframe.block import steady
+from dmframe.block import AbstractBlock, steady
 from dmframe.exact import primes
 
 os.environ.setdefault(
@@ -40,13 +42,23 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _checked_once() -> Iterator[None]:
-    """A packaged block's methods are evaluated with other numbers once per set of options, numbers and expressions.
+    """A packaged block's methods are evaluated with other numbers once per set of options, numbers and sizes.
 
-    For other blocks with validators this is repeated each time, since they may store numbers anywhere.
+    For other blocks this is repeated for other expressions; with validators each time, since they may store numbers
+    anywhere.
     """
-    hooks = steady._hooks
+    hooks, key = steady._hooks, steady._key
+
+    def packaged(kind: type) -> bool:
+        return kind.__module__.startswith("dmframe_blocks.")
+
+    def key_of(statement: str, block: AbstractBlock, first: Any) -> Any:
+        sizes = SimpleNamespace(text=repr([(name, part[1]) for name, part in first._parts.items()]))
+        return key(statement, block, sizes if packaged(type(block)) else first)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(steady, "_hooks", lambda kind: not kind.__module__.startswith("dmframe_blocks.") and hooks(kind))
+        patch.setattr(steady, "_hooks", lambda kind: not packaged(kind) and hooks(kind))
+        patch.setattr(steady, "_key", key_of)
         yield
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, final
 from weakref import finalize
 
@@ -65,11 +66,31 @@ def evaluate(block: AbstractBlock, inputs: Mapping[str, Any], states: Mapping[st
 
 
 def _chain(robot: Any) -> Any:
+    """The chain of a robot; a packaged one is read again only after its file has changed."""
     if not isinstance(robot, str):
         return robot
-    from dmframe.robot.library import load
+    from dmframe.robot.library import find_robot, load
 
-    return load(robot)
+    known = _CHAINS.get(robot)
+    if known is None or _state(known[0]) != known[1]:
+        path = find_robot(robot).urdf
+        known = path, _state(path), load(robot)
+        if not robot.endswith(".urdf"):  # a path may lead to another file from another folder
+            _CHAINS[robot] = known
+    return known[2]
+
+
+_CHAINS: dict[str, tuple[Path, tuple[int, int], Any]] = {}
+"""The file of a packaged robot, its state and its chain: a loop over samples names the robot at each sample."""
+
+
+def _state(path: Path) -> tuple[int, int]:
+    """Time of modification and size of a file; zeros without it."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
 
 
 def _arrays(

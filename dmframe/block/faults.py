@@ -114,11 +114,17 @@ def fault_context(name: str, what: str) -> Iterator[None]:
         frames = traceback.StackSummary.extract(traceback.walk_tb(error.__traceback__), lookup_lines=False)
         frame = [frames[-1], *(frame for frame in frames if not _foreign(Path(frame.filename)))][-1]
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "no reason given"
+        if BRANCH in reason:
+            reason = (
+                "Python cannot branch on a symbol; write ca.if_else(condition, value, other), ca.logic_and or ca.fmax"
+            )
         raise BlockError(
             f"{name}: {what}, {Path(frame.filename).name}:{frame.lineno}: {type(error).__name__}: {reason}"
         ) from error
 
 
+BRANCH = "Cannot compute the truth value"
+"""Part of CasADi's message about `if`, `and`, `or`, `not`, `min` and `max` of a symbol."""
 FOREIGN = ("casadi", "numpy")
 """Folders of libraries: a fault in one, or in the framework, is reported at the line that called it."""
 

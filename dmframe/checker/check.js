@@ -784,7 +784,8 @@ globalThis.checker = (() => {
       });
     }
     // True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals.
-    stable({ rates }) {
+    stable({ vectors, rates }) {
+      need(new Set([...vectors, ...rates.flat()].map((k) => this.of.vector(k).length)).size === 1, "size");
       const { of, g, signs } = this, size = rates.length, two = size === 2 && rates.every((row) => row.length === 2);
       if (!two && rates.flat().length !== 1) return false;
       const [[a, b], [c, d] = []] = rates.map((row) => row.map((k) => of.vector(k)));
@@ -899,7 +900,7 @@ if (typeof module === "object" && typeof require === "function") {
       if (!Array.isArray(this)) count++;
       return value;
     });
-    if (text.match(/"(\\.|[^"\\])*"\s*:?/g)?.filter((token) => token.endsWith(":")).length !== count) throw new Error("a key occurs twice in one object");
+    if ((text.match(/"(\\.|[^"\\])*"\s*:?/g) ?? []).filter((token) => token.endsWith(":")).length !== count) throw new Error("a key occurs twice in one object");
     return data;
   };
   if (require.main === module) {

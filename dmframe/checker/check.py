@@ -319,6 +319,7 @@ class Certificate:
     """A file that has been read: its lists contain nodes in place of the numbers of vectors and terms."""
 
     def __init__(self, data):
+        need(type(data) is dict and data.get("version") == 3, "version: expected 3; write the file again")
         self.symbols, self.kinds, self.numbers, self.fixed, self.rates, self.derivatives = ({} for _ in range(6))
         self.nodes, self.divided, self.vectors, self.terms, vector = [ZERO], [], [], [], self.vector
         joint = {"kind": {"revolute", "prismatic"}, "axis": [rational], "rotation": [rational]}
@@ -850,10 +851,7 @@ class Conclusions:
 
     def grow(self, nodes):
         """Closes directions along which a bounded signal changes at a constant rate; True if there was one."""
-        read, still = symbols(nodes), [0] * len(nodes)
-        moves = [any(step and x in read for x, step in zip(self.columns, u, strict=True)) for u in self.open]
-        pairs = [list(zip(moves, self.open, strict=True))] * 2
-        one, other = ([self.along(nodes, k, u) if moved else still for moved, u in pairs[k]] for k in (0, 1))
+        one, other = ([self.along(nodes, k, u) for u in self.open] for k in (0, 1))
         steady = [k for k in range(len(nodes)) if all(a[k] == b[k] for a, b in zip(one, other, strict=True))]
         return self.restrict([[row[k] for k in steady] for row in one])
 
@@ -868,6 +866,7 @@ class Conclusions:
 
     def stable(self, item):
         """True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals."""
+        need(len({*map(len, [*item.vectors, *flat(item.rates)])}) == 1, "a linear equation: sizes of its vectors")
         A = [self.signs.intervals(x, self.signs.boxes if len(item.rates) == 1 else {}) for x in flat(item.rates)]
         if None in A or len(A) not in (1, 4):
             return False

@@ -100,14 +100,23 @@ class DocumentError(DmframeError):
 class UnknownNameError(DmframeError, KeyError):
     """An unknown name of a block type, a parameter, a key, a graph or a signal.
 
-    Without `spelling` the message lists all choices and suggests none of them.
+    Without `spelling` the message lists all choices and suggests none of them. `others` replaces a list of all choices.
     """
 
     def __init__(
-        self, where: str, kind: str, name: str, choices: Iterable[str], *, spelling: bool = True, **place: object
+        self,
+        where: str,
+        kind: str,
+        name: str,
+        choices: Iterable[str],
+        *,
+        spelling: bool = True,
+        others: str = "",
+        **place: object,
     ) -> None:
         self.name, self.choices = name, tuple(sorted(choices))
         hint = nearest(name if spelling else "", self.choices)
+        hint = others if others and not hint.startswith("did you mean") else hint
         super().__init__(f"{where}: unknown {kind}; {hint}", **place)  # type: ignore[arg-type]  # as DmframeError takes it
 
 

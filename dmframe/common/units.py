@@ -148,6 +148,14 @@ def compatible(unit_a: str, unit_b: str) -> bool:
     return unit_a == unit_b or _size(unit_a) == _size(unit_b)
 
 
+def is_rate(unit: str, of: str) -> bool:
+    """True if a unit is that of the time derivative of a quantity: rad/s of rad, m/s^2 of m/s."""
+    (scale, powers), (other, below) = base_units(unit), base_units(of)
+    expected = Counter(below)
+    expected["s"] -= 1
+    return scale == other and all(powers.get(name, 0) == expected[name] for name in {*powers, *expected})
+
+
 def base_units(unit: str) -> tuple[Fraction, dict[str, int]]:
     """Factor and powers of the base units m, s, g, rad, A and K: for N, 1000 g m/s^2."""
     scale, dimension = _size(unit)
@@ -199,6 +207,8 @@ def _converted(text: str, unit: str, expected: str) -> float:
         raise ValueFault(f"{expected}: the number must be finite")
     if read is None:
         raise ValueFault(f"{expected}: begin with a number")
+    if re.match(r"\s*,\d", read.group(2)):
+        raise UnitError(f"{expected}: a number has a decimal point, not a comma")
     digits, found = read.group(1), read.group(2).strip() or unit
     try:
         (scale, dimension), (target_scale, target) = _size(found), _size(unit)

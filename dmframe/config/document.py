@@ -31,7 +31,7 @@ from ruamel.yaml.events import (
 from dmframe.common.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
 from dmframe.common.units import shorten
 from dmframe.config.scalars import Scalar, plain_scalar
-from dmframe.config.syntax import plain_words
+from dmframe.config.syntax import decimal_comma, plain_words
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
 Steps: TypeAlias = tuple[str | int, ...]
@@ -318,16 +318,19 @@ class _Reader:
         return self._scalar(event, path)
 
     def _mapping(self, events: Iterator[Any], path: Steps) -> dict[str, tuple[Node, Node]]:
-        entries: dict[str, tuple[Node, Node]] = {}
+        entries, before = dict[str, tuple[Node, Node]](), None  # and the event of the last value
         while not isinstance(event := next(events), MappingEndEvent):
             key = self._node(event, events, (*path, "?"))
             name = key.value if isinstance(key.value, str) else str(getattr(event, "value", "?"))
-            if not isinstance(key.value, str):
+            if decimal := decimal_comma(before, event):
+                self._note(f"this comma separates two keys; write a decimal point: {decimal}", event, path)
+            elif not isinstance(key.value, str):
                 written = f'; write "{shorten(name, 30)}" in quotes' if isinstance(event, ScalarEvent) else ""
                 self._note(f"a key is a text, found {self._named(key, event)}{written}", event, path)
             elif name == "<<" and getattr(event, "style", None) is None:
                 self._note("merge keys (<<) are not part of YAML 1.2; write the keys out", event, path)
-            value = self._node(next(events), events, (*path, name))
+            before = next(events)
+            value = self._node(before, events, (*path, name))
             if name in entries:
                 first = entries[name][0]
                 self._note(

@@ -11,6 +11,7 @@ from dmframe.catalogue import block_types
 from dmframe.common.errors import DmframeError, Faults, MissingError, UnknownNameError, WiringError, visible
 from dmframe.config.document import Document
 from dmframe.config.grammar import KEYS
+from dmframe.diagram.wiring import ADD
 
 TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
 """Keys that together determine the amount of computation: a fault in one may be caused by an override of another."""
@@ -31,15 +32,18 @@ def placed(error: DmframeError, document: Document, keys: Sequence[str] = KEYS) 
     faults = error.faults
     for fault in faults:
         if isinstance(fault, WiringError) and fault.missing and not fault.location:
-            fault.text += _that_have(fault.missing)
+            fault.text = _with_types(fault.text, fault.missing)
         fault.location = fault.location or _location(fault, document, keys)
     return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
 
 
-def _that_have(port: str) -> str:
-    """The block types with such an output, as the end of a message about a missing signal."""
+def _with_types(text: str, port: str) -> str:
+    """The message about a missing signal, with the block types that have it; without any, other remedies remain."""
     found = [name for name, kind in block_types().items() if any(output.name == port for output in kind.outputs)]
-    return f": {', '.join(found)}" if found else ""
+    if found:
+        return f"{text}: {', '.join(found)}"
+    others = text.removesuffix(f", or {ADD}")
+    return others if others != text else f"{text}, of your own: no packaged type has one"
 
 
 def _location(fault: DmframeError, document: Document, keys: Sequence[str]) -> str:

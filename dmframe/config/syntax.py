@@ -5,9 +5,13 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from ruamel.yaml.events import ScalarEvent
+
 _START = re.compile(r"found character '(.+)' that cannot start any token")
 _CONTENT = re.compile(r"expected the node content, but found '(.+)'")
 _NAME = re.compile(r"expected alphabetic or numeric character, but found '(.+)'")
+_WHOLE = re.compile(r"[-+]?\d{1,20}", re.ASCII)
+_DECIMALS = re.compile(r"\d{1,20}( .{1,20})?", re.ASCII)
 _TAB = re.compile(r"^ *\t[ \t]*[^\s#]", re.MULTILINE)
 
 
@@ -51,3 +55,12 @@ def plain_words(fault: Any, text: str) -> tuple[str, int]:
         found = "the end of the text" if name.group(1) == r"\x00" else name.group(1)
         return f"expected a name here, found {found}; put the text in quotes", end
     return f"not readable as YAML ({problem})", end
+
+
+def decimal_comma(before: Any, after: Any) -> str:
+    """The number that was meant by the events of a value and the next key, as in ``{k: 0,15 s}``; empty if none was."""
+    if not (isinstance(before, ScalarEvent) and isinstance(after, ScalarEvent)):
+        return ""
+    adjacent = after.start_mark.index == before.end_mark.index + 1
+    number = adjacent and _WHOLE.fullmatch(before.value) and _DECIMALS.fullmatch(after.value)
+    return f"{before.value}.{after.value}" if number else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -19,7 +19,7 @@ from dmframe.common.errors import (
     WiringError,
     nearest,
 )
-from dmframe.common.units import compatible
+from dmframe.common.units import compatible, is_rate
 
 End = tuple[str, str]
 """A block's name and a port's."""
@@ -75,6 +75,8 @@ class Zero:
     """The optional input is not driven: zero."""
 
 
+ADD = "add a block that has one"
+"""Last remedy of a missing signal; `dmframe.config.places` names the block types."""
 Source = Wire | Derived | Time | Period | Drawn | Ahead | Zero
 Outputs = Mapping[str, Mapping[str, Output]]
 
@@ -271,19 +273,34 @@ def _by_name(
 
 
 def _remedy(name: str, port: Input, outputs: Outputs, blocks: Mapping[str, AbstractBlock]) -> str:
-    """Hint: outputs that may be wired to an input, of its shape and unit and not hidden from it."""
-    add, target = "add a block that has one", blocks[name].side  # dmframe.config.places appends the types
+    """Hint: a declaration as a rate, and outputs that may be wired: of the input's shape and unit and not hidden.
+
+    A desired value is not wired to a measured or computed one: its error would be zero, or without a meaning.
+    """
+    sources = [other for other, block in blocks.items() if block.side is Side.SOURCE and other in outputs]
+    add, target = ADD, blocks[name].side
+    if of := _rate_of(port, blocks[name], {key for other in sources for key in outputs[other]}):
+        add = f'declare it with derivative_of="{of}" if it is the rate of {of}, or {add}'
+    desired = port.name.endswith("_d")
     fitting = [
         f"{other}.{key}"
         for other, ports in outputs.items()
         for key, out in ports.items()
         if other != name
+        and (not desired or other in sources or key.endswith("_d"))
         and (out.shape, out.unit) == (port.shape, port.unit)
         and _access(Wire(other, key), out, blocks[other].side, (name, port.name), target, ()) is None
     ]
     if not fitting:
         return add
     return f"wire one of its shape and unit ({nearest(port.name, fitting)}), or {add}"
+
+
+def _rate_of(port: Input, block: AbstractBlock, desired: Set[str]) -> str:
+    """The input with a desired signal whose rate this one is by its name, shape and unit; empty if there is none."""
+    found = [other for other in block.inputs if (port.name, port.shape) == (f"d{other.name}", other.shape)]
+    with_units = [other for other in found if other.name in desired and ANY not in (port.unit, other.unit)]
+    return next((other.name for other in with_units if is_rate(port.unit, other.unit)), "")
 
 
 def unread(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]) -> list[Wire]:
@@ -371,7 +388,8 @@ def _access(
     if target is Side.PLANT and origin is Side.CONTROLLER and out.access is not Access.COMMANDED:
         return AccessError(
             f"{signal} cannot be commanded: {reader} takes only joint velocities and positions "
-            "(the robot's architecture is closed)",
+            "that are declared as commands (the robot's architecture is closed); if it is one, declare the output of "
+            f"{source.block} with access=Access.COMMANDED",
             path=path,
         )
     if target is Side.SOURCE and origin is not Side.CONTROLLER:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.common import notebook
 from dmframe.common.errors import DmframeError, ValueFault, raise_all
 from dmframe.common.units import plain, seconds, to_unit
 from dmframe.config import BaseGraph
@@ -342,17 +341,11 @@ class Graph(BaseGraph):
         DmframeError
             A loop cannot run in a browser, for example because it draws random numbers.
         """
-        from dmframe.page import Page, ghosts_of, stable_periods
+        from dmframe.page import ghosts_of, page_of
 
-        rivals, verdict, found = ghosts_of(self, ghost), self.verify().verdict, None
+        rivals, verdict = ghosts_of(self, ghost), self.verify().verdict
         with progress_line(self.name) as tell:
-            if periods:
-                with SYMBOLIC:
-                    found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
-            tell("compiling the loop for a browser")
-            page = Page(self, verdict, found, rivals)
-            _ = page.html
-        return page
+            return page_of(self, verdict, rivals, periods=periods, tell=tell)
 
     def export(self, folder: str | Path, kind: str | TargetFunction = "c") -> list[Path]:
         """Export its controller for other programs to a new folder; returns the files.
@@ -401,12 +394,6 @@ class Graph(BaseGraph):
         return check_page(self)
 
     def _repr_html_(self) -> str:
-        from dmframe.drawing import svg
+        from dmframe.graph.in_notebook import graph_html
 
-        clock = "continuous time" if self.clock is None else f"sampled every {plain(self.clock, 's')}"
-        return (
-            notebook.heading(self.name, self.title)
-            + notebook.fitted(svg(self.diagram), f"dm-{self.diagram.fingerprint[:8]}")
-            + notebook.paragraphs([f"{clock}, for {plain(self.duration, 's')}"])
-            + self.blocks._repr_html_()
-        )
+        return graph_html(self)

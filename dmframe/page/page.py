@@ -6,12 +6,14 @@ import base64
 import hashlib
 import json
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, final
 
+from dmframe.block.model import SYMBOLIC
 from dmframe.certify import Verdict
 from dmframe.common import notebook
 from dmframe.common.errors import OutputError
@@ -19,7 +21,7 @@ from dmframe.common.files import check_place, expanded, is_file, write_text, wri
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.page.content import content_of
-from dmframe.page.periods import Periods
+from dmframe.page.periods import Periods, stable_periods
 from dmframe.page.proof import Proof, proof_of
 from dmframe.page.rivals import Rival
 
@@ -74,6 +76,20 @@ class Page(AboutGraph):
 
     def _repr_html_(self) -> str:
         return notebook.framed(self.html, f"live page of {self.graph.name}", HEIGHT)
+
+
+def page_of(
+    graph: BaseGraph, verdict: Verdict, rivals: tuple[Rival, ...] | None, *, periods: bool, tell: Callable[[str], None]
+) -> Page:
+    """The page of a proved graph, with its stable sampling periods if `periods`; `tell` reports what is computed."""
+    found = None
+    if periods:
+        with SYMBOLIC:
+            found = stable_periods(graph.diagram, graph.clock, verdict, graph.start, tell)
+    tell("compiling the loop for a browser")
+    page = Page(graph, verdict, found, rivals)
+    _ = page.html
+    return page
 
 
 def check_page_place(path: Path) -> None:

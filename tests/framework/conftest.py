@@ -3,6 +3,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,6 +44,22 @@ def pendulum() -> Runner:
         return simulate(diagram, 0.2, engine=engine, **given)  # type: ignore[arg-type]
 
     return run
+
+
+@pytest.fixture(scope="session")
+def chromium_tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One Chromium for all tests of a worker, since its start takes a second."""
+    from in_chromium import chromium
+
+    with chromium(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+@pytest.fixture
+def tab(chromium_tab: Any) -> Any:
+    """Its tab, at the size of the window."""
+    chromium_tab.sized(None)
+    return chromium_tab
 
 
 @pytest.fixture

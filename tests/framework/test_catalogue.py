@@ -72,6 +72,13 @@ def test_a_packaged_graph_is_found_by_name_and_a_file_by_its_path() -> None:
         find_graph("pendulun")
 
 
+def test_a_graph_without_its_ending_names_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "u2.yaml").touch()
+    with pytest.raises(UnknownNameError, match=r"u2: unknown graph; did you mean u2\.yaml\?$"):
+        find_graph("u2")
+
+
 def test_an_installed_package_joins_with_its_blocks_and_graphs(site: Path) -> None:
     install(site, "acme_blocks", {"slow_filter": BLOCK.format(name="SlowFilter"), "_helper": ""})
     (site / "acme_blocks" / "graphs").mkdir()

@@ -43,7 +43,7 @@ for _ in range(200):
             Kept().slow
         os._exit(0)
     watch = os.pidfd_open(child)
-    if not select.select([watch], [], [], 3)[0]:
+    if not select.select([watch], [], [], {patience})[0]:
         hung += 1
         os.kill(child, signal.SIGKILL)
         print(hung, flush=True)
@@ -55,9 +55,9 @@ os._exit(0)
 """
 
 
-def hung(before: str = "") -> int:
+def hung(before: str = "", patience: float = 3.0) -> int:
     """1 if one of 200 forked processes did not end."""
-    words = [sys.executable, "-c", BUSY.format(before=before)]
+    words = [sys.executable, "-c", BUSY.format(before=before, patience=patience)]
     return int(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 
 
@@ -66,7 +66,7 @@ def test_200_forks_with_running_threads_end() -> None:
 
 
 def test_without_new_locks_a_copy_hangs() -> None:
-    assert hung("os.register_at_fork = lambda **_: None") == 1
+    assert hung("os.register_at_fork = lambda **_: None", patience=1.5) == 1
 
 
 def test_the_thread_that_makes_a_copy_keeps_what_it_holds() -> None:

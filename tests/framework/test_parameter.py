@@ -88,7 +88,7 @@ NESTED = st.recursive(
 )
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(NESTED, st.sampled_from(["diagonal", "vector", "table", "box"]), st.sampled_from(["", "n"]))
 def test_whatever_a_file_holds_is_read_or_refused_in_words(value: Any, form: str, shape: str) -> None:
     reported, found = "", None

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmframe.common.errors import UnitError, ValueFault
-from dmframe.common.units import _DEFINITIONS, _PREFIXES_OF, _size, compatible, plain, rate_over, to_unit
+from dmframe.common.units import _DEFINITIONS, _PREFIXES_OF, _size, compatible, is_rate, plain, rate_over, to_unit
 
 HOW = "write it like N m s/rad or m/s^2: spaces multiply, everything after the one slash divides"
 CHOICES = "choose from %, A, Hz, J, N, V, W, deg, h, kg, m, min, mm, ms, rad, rpm, s, turn"
@@ -105,6 +105,7 @@ def test_everything_after_the_slash_divides() -> None:
         ("3 sec", "s", "expected a quantity in s, found '3 sec': unknown unit sec; did you mean s?"),
         ("3 furlong", "s", f"expected a quantity in s, found '3 furlong': unknown unit furlong; {CHOICES}"),
         ("3 m", "furlong", f"expected a quantity in furlong, found '3 m': unknown unit furlong; {CHOICES}"),
+        ("1,5 m", "m", "expected a quantity in m, found '1,5 m': a number has a decimal point, not a comma"),
         ("3 m/s/s", "m", f"expected a quantity in m, found '3 m/s/s': cannot read 'm/s/s' as a unit; {HOW}"),
         ("3 m2", "m^2", f"expected a quantity in m^2, found '3 m2': cannot read 'm2' as a unit; {HOW}"),
         ("1 000 m", "m", f"expected a quantity in m, found '1 000 m': cannot read '000 m' as a unit; {HOW}"),
@@ -248,3 +249,11 @@ def test_a_name_of_three_letters_has_a_plural(text: str, seconds: float) -> None
 def test_a_product_without_a_space_is_no_plural(text: str, hint: str) -> None:
     with pytest.raises(UnitError, match=f"unknown unit .*{hint}"):
         to_unit(text, "N s")
+
+
+@pytest.mark.parametrize(
+    ("unit", "of", "rate"),
+    [("rad/s", "rad", True), ("m/s^2", "m/s", True), ("1/s", "", True), ("deg/s", "rad", False), ("m/s", "rad", False)],
+)
+def test_a_rate_has_the_unit_of_its_quantity_over_seconds(unit: str, of: str, rate: bool) -> None:
+    assert is_rate(unit, of) is rate

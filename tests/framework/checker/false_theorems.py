@@ -222,6 +222,13 @@ def _linear() -> Iterator[Attack]:
         yield f"a linear equation with {len(vectors)} vectors and the rates {rates}", file.data, "w refused"
 
     file = stable()
+    x, y = file.data["vectors"][0][1][0], file.symbol("y", "state")
+    file.data["rates"]["y"] = file.vector(y)
+    wide, long = file.vector(x, y), file.vector(x, y, x)
+    file.data["linear"] = [{"vectors": [wide, wide], "rates": [[wide, long], [wide, wide]]}]
+    yield "a linear equation with vectors of two sizes", file.data, "refused"
+
+    file = stable()
     y = file.vector(file.symbol("y", "state"))
     file.data["rates"]["y"] = file.vector(file.number("1"))
     empty = file.data["vectors"].append([1, []]) or len(file.data["vectors"]) - 1

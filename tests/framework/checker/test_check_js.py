@@ -101,6 +101,14 @@ def test_it_runs_alone_and_its_exit_status_is_the_outcome(tmp_path: Path) -> Non
     done = run()
     assert (done.returncode, done.stderr) == (1, "")
     assert "does not hold" in done.stdout
+    text = json.dumps({**data, "about": {"a": '"b": \\"c": {}'}})
+    path.write_text(text)
+    assert run().returncode == 0
+    for wrong in (text.replace('"about"', '"about": {}, "about"'), text.replace('"over"', '"\\u006fver": 1, "over"')):
+        path.write_text(wrong)
+        done = run()
+        assert (done.returncode, done.stderr) == (2, "")
+        assert "a key occurs twice" in done.stdout
     for text in ("{}", "[]", "null", "not json", '{"format": "dmframe-certificate"}', "[" * 100_000):
         path.write_text(text)
         done = run()

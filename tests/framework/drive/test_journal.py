@@ -248,7 +248,7 @@ def test_a_drive_that_is_killed_leaves_all_but_its_last_second(tmp_path: Path) -
                 assert process.poll() is None
                 time.sleep(0.05)
             first, seen = len(read_samples(path)[1]["time"]), time.monotonic()
-            time.sleep(2.0)
+            time.sleep(1.5)
         finally:
             process.send_signal(signal.SIGKILL)
         lasted = time.monotonic() - seen

@@ -93,29 +93,29 @@ def test_sanitizers_find_nothing(name: str, main: str) -> None:
 @cache
 def controller_object() -> str:
     """Path of the compiled controller, without the replay program."""
-    out = Path(mkdtemp(prefix="compiled-")) / "ur10_fast.o"
-    words = [str(GCC), *STRICT, *PLAIN, "-c", "ur10_fast.c", "-o", str(out)]
-    subprocess.run(words, cwd=exported("ur10_fast"), check=True)
+    out = Path(mkdtemp(prefix="compiled-")) / "arm2_joint.o"
+    words = [str(GCC), *STRICT, *PLAIN, "-c", "arm2_joint.c", "-o", str(out)]
+    subprocess.run(words, cwd=exported("arm2_joint"), check=True)
     return str(out)
 
 
 @needs_gcc
 @pytest.mark.parametrize("array", ["dm_commands", "dm_state", "dm_measured"])
 def test_one_wrong_bit_is_found(array: str, tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(exported("ur10_fast"), tmp_path / "ur10_fast"))
+    folder = Path(shutil.copytree(exported("arm2_joint"), tmp_path / "arm2_joint"))
     text = (folder / "samples.h").read_text(encoding="utf-8")
     number = re.compile(r"0x1\.(\w{4})").search(text, text.index(f"double {array}["))
     assert number is not None
     turned = f"{int(number.group(1), 16) ^ 1:04x}"
     (folder / "samples.h").write_text(text[: number.start(1)] + turned + text[number.end(1) :], encoding="utf-8")
-    (folder / "ur10_fast.c").write_text('#include "ur10_fast.h"\n', encoding="utf-8")
+    (folder / "arm2_joint.c").write_text('#include "arm2_joint.h"\n', encoding="utf-8")
     done = reported(compiled(folder, *STRICT, *PLAIN, controller_object()))
     assert done.returncode == 1
     assert "different bits" in done.stdout
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", ["ur10_fast", "joint_tracking_pi"])
+@pytest.mark.parametrize("name", ["arm2_joint", "ur10_fast", "joint_tracking_pi"])
 def test_it_commands_to_the_bit_what_a_simulation_without_fused_operations_does(
     name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

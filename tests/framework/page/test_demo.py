@@ -7,14 +7,13 @@ import importlib.util
 import json
 import re
 import zlib
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from in_chromium import Chromium, chromium
+from in_chromium import Chromium
 from in_node import content
 
 import dmframe as dm
@@ -33,12 +32,6 @@ SCORES = "[...document.querySelectorAll('#scores tr')].map((row) => row.cells[2]
 HEADLINE = "document.getElementById('headline').textContent"
 STATE = "document.getElementById('verdict').className"
 COMMAND = "document.getElementById('command').textContent"
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    with chromium(tmp_path_factory.mktemp("profile")) as found:
-        yield found
 
 
 @cache
@@ -102,24 +95,27 @@ def page_of(folder: Path, **changed: Any) -> Path:
     return place
 
 
-def scores_are_those_of_runs(tab: Chromium, page: Path) -> None:
-    tab.opened(page)
-    for fragment, changes in (("", {}), ("#load.at=[0,8]", {"loaded": True}), ("#clock=16", {"clock": "32 ms"})):
-        tab.opened(page, fragment)
-        texts = tab.until(f"{HEADLINE} !== 'Loading' && {SCORES}.length && {SCORES}")
-        # the page compares a thousand instants of the run
-        assert [shown(text) for text in texts] == pytest.approx([rms(run, 16, 20) for run in runs(**changes)], rel=0.02)
+CHANGES: dict[str, dict[str, Any]] = {"": {}, "#load.at=[0,8]": {"loaded": True}, "#clock=16": {"clock": "32 ms"}}
+
+
+def scores_are_those_of_runs(tab: Chromium, page: Path, fragment: str) -> None:
+    tab.opened(page, fragment)
+    texts = tab.until(f"{HEADLINE} !== 'Loading' && {SCORES}.length && {SCORES}")
+    # the page compares a thousand instants of the run
+    expected = [rms(run, 16, 20) for run in runs(**CHANGES[fragment])]
+    assert [shown(text) for text in texts] == pytest.approx(expected, rel=0.02)
     assert tab.said == []
 
 
-def test_the_page_prints_the_errors_that_runs_give(tab: Chromium, tmp_path: Path) -> None:
-    scores_are_those_of_runs(tab, page_of(tmp_path))
+@pytest.mark.parametrize("fragment", CHANGES)
+def test_the_page_prints_the_errors_that_runs_give(tab: Chromium, tmp_path: Path, fragment: str) -> None:
+    scores_are_those_of_runs(tab, page_of(tmp_path), fragment)
 
 
 def test_rivals_that_do_not_get_the_load_would_be_noticed(tab: Chromium, tmp_path: Path) -> None:
     alone = [{**rival, "shared": []} for rival in content(NAME)["rivals"]]
     with pytest.raises(AssertionError):
-        scores_are_those_of_runs(tab, page_of(tmp_path, rivals=alone))
+        scores_are_those_of_runs(tab, page_of(tmp_path, rivals=alone), "#load.at=[0,8]")
 
 
 def test_buttons_set_values_and_reset_them(tab: Chromium, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import dmframe as dm
 
 STEPS = 80
 """Positions of each slider."""
-EDGES = {"torque_direct_pid": 6, "pendulum": 4}
+EDGES = {"torque_direct_pid": 6, "pendulum": 2}
 """Positions that `verify` proves: the last green ones before another colour, and half as many combinations."""
 Position = Mapping[str, float]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from in_browser import Browser
-from in_chromium import Chromium, chromium
+from in_chromium import Chromium
 from in_firefox import firefox
 from in_node import content
 
@@ -43,16 +43,17 @@ def judges_truly(tab: Browser, page: Path) -> None:
     assert tab.said == []
 
 
-BROWSERS = {"chromium": chromium, "firefox": firefox}
-
-
+BROWSERS = ("chromium", "firefox")
 IN_ONE = pytest.mark.parametrize("tab", ["chromium"], indirect=True)
 """For features that need no more of a browser than JavaScript; others are tested in both browsers."""
 
 
 @pytest.fixture(scope="module", params=BROWSERS)
 def tab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with BROWSERS[request.param](tmp_path_factory.mktemp("profile")) as found:
+    if request.param == "chromium":
+        yield request.getfixturevalue("chromium_tab")
+        return
+    with firefox(tmp_path_factory.mktemp("profile")) as found:
         yield found
 
 

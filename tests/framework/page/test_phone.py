@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from in_chromium import Chromium, chromium
+from in_chromium import Chromium
 from in_node import content
 
 from dmframe.page.page import assembled
@@ -21,12 +20,6 @@ FRAMES = """(async () => {
   globalThis.requestAnimationFrame = original;
   return count;
 })()"""
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    with chromium(tmp_path_factory.mktemp("profile")) as found:
-        yield found
 
 
 def opened(tab: Chromium, folder: Path, size: tuple[int, int]) -> None:

@@ -9,7 +9,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from in_chromium import chromium
+from in_chromium import Chromium
 
 import dmframe as dm
 from dmframe.page.page import assembled
@@ -41,22 +41,21 @@ def test_the_shortened_program_decides_as_the_file(tmp_path: Path) -> None:
     assert {key: found[0][key] for key in SAME} == {key: found[1][key] for key in SAME}
 
 
-def test_a_page_proves_itself_in_the_browser_and_shows_a_false_certificate(tmp_path: Path) -> None:
+def test_a_page_proves_itself_in_the_browser_and_shows_a_false_certificate(tab: Chromium, tmp_path: Path) -> None:
     data, page = certificate(NAME), tmp_path / "page.html"
     false = {**data, "rates": {**data["rates"], "arm.dq": replaced(data, data["rates"]["arm.dq"])}}
-    with chromium(tmp_path / "profile") as tab:
-        page.write_text(assembled(content(NAME), _proof(certificate(NAME))), "utf-8")
-        tab.opened(page)
-        assert tab.until(SHOWN).startswith("Proved again in this browser")
-        assert not tab.said
-        page.write_text(assembled(content(NAME), _proof(false)), "utf-8")
-        tab.opened(page)
-        assert "refuted" in tab.until(SHOWN)
-        page.write_text(assembled(content(NAME), _proof(certificate(NAME), f"{checker_script()};")), "utf-8")
-        tab.opened(page)  # another program than the policy allows
-        tab.until("document.getElementById('headline').textContent !== 'Loading'")
-        assert not tab.value(SHOWN)
-        assert any("Content Security Policy" in text for text in tab.said)
+    page.write_text(assembled(content(NAME), _proof(certificate(NAME))), "utf-8")
+    tab.opened(page)
+    assert tab.until(SHOWN).startswith("Proved again in this browser")
+    assert not tab.said
+    page.write_text(assembled(content(NAME), _proof(false)), "utf-8")
+    tab.opened(page)
+    assert "refuted" in tab.until(SHOWN)
+    page.write_text(assembled(content(NAME), _proof(certificate(NAME), f"{checker_script()};")), "utf-8")
+    tab.opened(page)  # another program than the policy allows
+    tab.until("document.getElementById('headline').textContent !== 'Loading'")
+    assert not tab.value(SHOWN)
+    assert any("Content Security Policy" in text for text in tab.said)
 
 
 def test_a_page_without_a_proof_contains_no_certificate() -> None:

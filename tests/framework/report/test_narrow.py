@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from in_chromium import chromium
+from in_chromium import Chromium
 
 import dmframe as dm
 
@@ -16,15 +16,15 @@ OUTSIDE = """[...document.querySelectorAll("body *")].filter((e) => e.getBoundin
 
 
 @pytest.mark.parametrize("name", ["arm2_joint", "ur10_fast"])
-def test_a_report_is_not_wider_than_its_window(tmp_path: Path, name: str) -> None:
+def test_a_report_is_not_wider_than_its_window(tab: Chromium, tmp_path: Path, name: str) -> None:
     page = tmp_path / "report.html"
-    dm.load(name).verify().report(page)
-    with chromium(tmp_path / "profile") as tab:
-        for width in (360, 390, 1250):
-            tab.sized(width, 844)
-            tab.opened(page)
-            tab.until("document.querySelectorAll('article').length")
-            assert tab.value("innerWidth") == width
-            assert tab.value(OVERHANG) == 0
-            assert tab.value(OUTSIDE) == []
-        assert tab.said == []
+    dm.load(name).until("0.2 s").verify().report(page)
+    for width in (360, 390, 1250):
+        tab.sized(width, 844)
+        tab.opened(page)
+        tab.until("document.querySelectorAll('article').length")
+        assert tab.value("innerWidth") == width
+        assert tab.value(OVERHANG) == 0
+        assert tab.value(OUTSIDE) == []
+    assert tab.said == []
+    tab.sized(None)

@@ -19,12 +19,27 @@ TOKEN, PORT = "a-token", 8000
 PLACES = ("/", "/file", "/lists", "/events", "/static/studio.js", "/page/x")
 
 
-@pytest.fixture
-def client(path: Path) -> Iterator[TestClient]:
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient, Path]]:
+    """A studio, whose worker takes a second to start, and its file."""
+    path = tmp_path_factory.mktemp("served") / "mine.yaml"
+    path.write_bytes(find_graph("pendulum").read_bytes())
     app, _ = application(path, TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", follow_redirects=False) as found:
         assert found.get(f"/?token={TOKEN}").status_code == 303
-        yield found
+        yield found, path
+
+
+@pytest.fixture
+def mine(served: tuple[TestClient, Path]) -> Path:
+    """The file of the studio, as it was at first."""
+    served[1].write_bytes(find_graph("pendulum").read_bytes())
+    return served[1]
+
+
+@pytest.fixture
+def client(served: tuple[TestClient, Path], mine: Path) -> TestClient:
+    return served[0]
 
 
 def test_after_the_worker_ended_the_next_edit_starts_another(path: Path) -> None:
@@ -108,8 +123,8 @@ def test_its_own_scripts_are_served(stranger: TestClient, name: str) -> None:
     assert stranger.get(f"/static/{name}").status_code == 200
 
 
-def test_a_text_is_examined_and_its_page_cannot_read_the_studio(client: TestClient, path: Path) -> None:
-    found = stages(client, text=path.read_text())
+def test_a_text_is_examined_and_its_page_cannot_read_the_studio(client: TestClient, mine: Path) -> None:
+    found = stages(client, text=mine.read_text())
     assert found["verdict"]["outcome"] == "proved"
     assert "html" not in found["page"]
     page = client.get(f"/page/{found['page']['page']}")
@@ -118,15 +133,15 @@ def test_a_text_is_examined_and_its_page_cannot_read_the_studio(client: TestClie
     assert "script-src 'self';" in client.get("/").headers["content-security-policy"]
 
 
-def test_a_faulty_text_has_its_faults_and_no_verdict(client: TestClient, path: Path) -> None:
-    found = stages(client, text=path.read_text().replace("K_c: 1,", "K_c: -1,"))
+def test_a_faulty_text_has_its_faults_and_no_verdict(client: TestClient, mine: Path) -> None:
+    found = stages(client, text=mine.read_text().replace("K_c: 1,", "K_c: -1,"))
     assert list(found) == ["faults", "done"]
 
 
-def test_results_are_remembered_until_a_file_next_to_the_graph_changes(client: TestClient, path: Path) -> None:
-    own = path.with_name("own.py")
+def test_results_are_remembered_until_a_file_next_to_the_graph_changes(client: TestClient, mine: Path) -> None:
+    own = mine.with_name("own.py")
     own.write_text("from dmframe_blocks.dynamic_compensator import DynamicCompensator as Own\n")
-    text = path.read_text().replace("type: dynamic_compensator", "type: own.py:Own")
+    text = mine.read_text().replace("type: dynamic_compensator", "type: own.py:Own")
     found = [stages(client, text=text) for _ in range(2)]
     assert found[0] == found[1]  # the times of the proof included
     own.write_text("from dmframe_blocks.dynamic_compensator import DynamicCompensator as Other\n")
@@ -145,19 +160,19 @@ def test_a_packaged_graph_can_be_compared_with(client: TestClient) -> None:
 
 
 def test_the_file_is_written_when_it_is_saved_and_only_the_version_that_was_opened(
-    client: TestClient, path: Path
+    client: TestClient, mine: Path
 ) -> None:
     opened = client.get("/file").json()
-    assert opened["text"] == path.read_text()
+    assert opened["text"] == mine.read_text()
     stages(client, text="dmframe: 1\n")
-    assert opened["text"] == path.read_text()
+    assert opened["text"] == mine.read_text()
     saved = client.post("/save", json={"text": opened["text"] + "# more\n", "version": opened["version"]})
-    assert path.read_text() == opened["text"] + "# more\n"
+    assert mine.read_text() == opened["text"] + "# more\n"
     assert saved.json()["version"] == client.get("/file").json()["version"]
     late = client.post("/save", json={"text": "late", "version": opened["version"]})  # a second tab
     assert late.status_code == 409
-    assert late.json()["now"]["text"] == path.read_text() == opened["text"] + "# more\n"
-    path.unlink()
+    assert late.json()["now"]["text"] == mine.read_text() == opened["text"] + "# more\n"
+    mine.unlink()
     assert client.get("/file").json()["problem"].startswith("the file does not exist")
 
 
