@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.common.errors import visible
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:  # rich is not imported if standard error is not displayed
     from dmframe.simulate.march import Progress as Bar
 
 __all__ = ["Bar", "Bars", "counting", "progress_line", "shown"]
+
+OFTEN: Final = 10.0
+"""Least time between lines of progress that are kept [s]."""
 
 
 def _aside() -> Console:
@@ -98,14 +102,17 @@ def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar 
 
 
 @contextmanager
-def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
+def progress_line(name: str, *, quiet: bool = False, kept: bool = False) -> Iterator[Callable[[str], None]]:
     """Show the current step in one transient line; nothing if standard error is not displayed.
+
+    With `kept`, where standard error is not displayed, the first step and then one each `OFTEN` seconds at most are
+    written as lines, so that the log of a long run shows that it advances.
 
     It starts no thread, since a process with threads cannot be forked (`dmframe.common.copies`). It does not import
     rich.
     """
     if quiet or not sys.stderr.isatty():
-        yield lambda _: None
+        yield _lines(name) if kept and not quiet else lambda _: None
         return
     width = shutil.get_terminal_size().columns - 1
     shown = ""
@@ -123,6 +130,20 @@ def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str],
         show("")
         sys.stderr.write("\r")
         sys.stderr.flush()
+
+
+def _lines(name: str) -> Callable[[str], None]:
+    """Write a step as a line if the last one is `OFTEN` seconds old."""
+    last = -math.inf
+
+    def write(text: str) -> None:
+        nonlocal last
+        if time.monotonic() - last >= OFTEN:
+            last = time.monotonic()
+            sys.stderr.write(f"{visible(f'{name}: {text}')}\n")
+            sys.stderr.flush()
+
+    return write
 
 
 @contextmanager

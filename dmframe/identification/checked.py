@@ -158,10 +158,12 @@ def _units(t: Array, q: Array, u: Array, chain: SerialChain, refuse: Refuse) -> 
         limit = joint.velocity if 0 < joint.velocity < np.inf else 10.0
         span = 7.0 if joint.kind == "revolute" else 20.0
         unit = "degrees; divide by 57.29578" if joint.kind == "revolute" else "mm; divide by 1000"
-        if speed[j] > 2 * limit or np.max(np.abs(q[:, j])) > span:
+        far = float(np.max(np.abs(q[:, j])))
+        beyond = [name for name, bad in (("positions", far > span), ("commands", speed[j] > 2 * limit)) if bad]
+        if beyond:
             raise refuse(
-                f"joint {j + 1}: commands reach {speed[j]:.3g} per s and positions {np.max(np.abs(q[:, j])):.3g}, "
-                f"beyond the robot's limits: they seem to be in {unit}"
+                f"joint {j + 1}: positions reach {far:.3g} and commands {speed[j]:.3g} per s: "
+                f"{' and '.join(beyond)} are beyond the robot's limits, and seem to be in {unit}"
             )
 
 
@@ -214,15 +216,21 @@ def _matched(t: Array, q: Array, u: Array, refuse: Refuse) -> None:
                 "target, seem to be swapped"
             )
         if np.ptp(held[:, j]) > 0.01 and not 0.5 < factor < 2:
-            hint = {True: "degrees and radians, or ms and s", False: "signs or columns"}[factor > 0]
-            raise refuse(
-                f"joint {j + 1}: positions move {factor:.3g} times as far as commanded; {hint} seem to be mixed"
-            )
+            raise refuse(f"joint {j + 1}: positions move {factor:.3g} times as far as commanded; {_mixed(factor)}")
         if np.ptp(held[:, j]) > 0.01 and share > 0.5:
             raise refuse(
                 f"joint {j + 1}: positions do not follow the commands ({100 * share:.0f} % unexplained); "
                 "check columns, units and signs"
             )
+
+
+def _mixed(factor: float) -> str:
+    """What a factor between the motion and its command suggests."""
+    for size, one, other in ((180 / np.pi, "degrees", "rad"), (1000.0, "mm", "m")):
+        for larger, smaller, ratio in (("positions", "commands", factor), ("commands", "positions", 1 / factor)):
+            if 0.8 * size < ratio < 1.25 * size:
+                return f"{larger} seem to be in {one}, and {smaller} in {other}"
+    return f"{'units, or ms and s,' if factor > 0 else 'signs or columns'} seem to be mixed"
 
 
 def _consistent(t: Array, dq_c: Array, q_c: Array, refuse: Refuse) -> tuple[Array, bool, str]:

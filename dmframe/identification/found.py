@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.identification.answer import NOT_REQUESTED, Verdict
-from dmframe.identification.choose import Choice
+from dmframe.identification.choose import ABOVE, Choice
 from dmframe.identification.clipped import Limit
 from dmframe.identification.model import Array
 from dmframe.identification.roots import second
@@ -66,6 +66,12 @@ class Identified:
     def known(self) -> bool:
         """False if no candidate explains the log."""
         return self.choice.explained(self.choice.best)
+
+    @property
+    def unexplained(self) -> list[str]:
+        """Names of the joints on which the best candidate leaves a residual above the floor."""
+        far = self.fit.rms > ABOVE * self.choice.floor
+        return [name for name, bad in zip(self.fit.unknowns.model.chain.joint_names, far, strict=True) if bad]
 
     @property
     def kind(self) -> str:
@@ -241,7 +247,8 @@ class Identified:
         if not self.known:
             lines.append(
                 f"servo: unknown; the closest class, {self.choice.best.replace('_0', '')}, leaves a residual above "
-                "three times the floor: its parameters are not reported. Check the robot's file, tool and "
+                f"three times the floor at {', '.join(self.unexplained)}: its parameters are not reported. Check the "
+                "robot's file, tool and "
                 "payload, and use a "
                 "log with velocity steps that begins at rest"
             )

@@ -33,6 +33,7 @@ FAR: Final = 3.0
 """Deviation of an inertial parameter from the robot's file, in standard deviations, above which there is a notice."""
 CLEARLY: Final = 0.1
 """Decrease of the sum of the joints' logarithms of residuals with which another reading of the times is used."""
+EXPECTED: Final = "three joints take about 10 s of computing, six about two minutes"
 UNSURE: Final = 0.35
 """Largest relative standard deviation of a servo's main gain that counts as determined."""
 
@@ -103,6 +104,7 @@ def _identified(
     signals, used = signals_of(table, chain.n, columns)
     needed = {name: values for name, values in signals.items() if name not in MEASURED}
     checked, twins = checked_log(needed, chain, table.name), twins_of(model_of(chain))
+    say(EXPECTED)
     choice, notices = _read(twins, checked, say)
     if checked.limits:  # a command between the first and the estimated limit was clipped wrongly
         checked = checked.again(estimated(checked.limits, choice.fits[choice.best]))

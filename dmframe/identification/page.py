@@ -60,9 +60,8 @@ def lead(found: Identified) -> Lead:
     """Class, delay and verdict."""
     verdict = f"Verdict: {found.verdict.sentence}.".replace("$", "")  # a file's name may have it, a formula has none
     if not found.known:
-        why = (
-            f"the closest class, {CLASSES[found.choice.best.replace('_0', '')]}, leaves more than three times the floor"
-        )
+        closest, where = CLASSES[found.choice.best.replace("_0", "")], ", ".join(found.unexplained)
+        why = f"the closest class, {closest}, leaves more than three times the floor at {where}"
         return Lead("refuted", "Unknown servo", Marked(f"{why}. {verdict}"))
     value, (low, high) = found.delay
     period = 1000 * found.fit.unknowns.log.period

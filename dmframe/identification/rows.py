@@ -75,7 +75,7 @@ def starts(unknowns: Unknowns, rows: Rows) -> list[tuple[float, Array]]:
         for j in range(unknowns.model.n):
             own, values = _joint(unknowns.kind, rows, u[:, j], q_c[:, j], j)
             score += own
-            values["w"] = np.log(np.clip(values["w"], *(1 / (speed * unknowns.inertia[j]) for speed in _SPEEDS)))
+            values["w"] = np.log(np.clip(values["w"], *(1 / (speed * unknowns.driven[j]) for speed in _SPEEDS)))
             for name, value in values.items():
                 theta[unknowns.places[name]][j] = value
         found.append((score, theta))

@@ -96,14 +96,14 @@ def _csv(file: Path, content: bytes) -> dict[str, np.ndarray]:
     head = text.partition("\n")[0].strip()
     separator = max(_SEPARATORS, key=head.count)
     names = [name.strip() for name in next(csv.reader([head], delimiter=separator, skipinitialspace=True))]
+    if all(_number(name) is not None for name in names):
+        raise ValueFault("expected a header with names of columns, found numbers; add one", location=f"{file}:1")
     for name in names:
         if names.count(name) > 1:
             raise ValueFault(
                 f"header: the column {name or '(without a name)'} appears {names.count(name)} times; rename one",
                 location=f"{file}:1",
             )
-    if all(_number(name) is not None for name in names):
-        raise ValueFault("expected a header with names of columns, found numbers; add one", location=f"{file}:1")
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "loadtxt: input contained no data")  # the caller reports too few rows

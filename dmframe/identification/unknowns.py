@@ -28,10 +28,16 @@ SPREAD: Final = 0.3
 LOAD: Final = 3.0
 """Standard deviation of a point mass at the tool [kg]."""
 ROTOR: Final = (0.3, 0.4)
-"""Mean and standard deviation of a rotor's inertia before the log is seen, relative to that of the links at a joint.
+"""Mean and standard deviation of a rotor's inertia before the log is seen, relative to `Unknowns.driven`.
 
 Without the mean, half of the rotors would have a negative inertia, and a fit could end at a mass matrix that is not
 positive definite.
+"""
+LIGHT: Final = 0.1
+"""Least inertia that a motor is sized for, relative to the largest of the robot's joints of the same kind.
+
+A wrist's rotor may have a hundred times the inertia of the links that it moves: of a UR10e, 0.3 to 0.4 kg m^2 are
+reported at joints whose links have 0.003 to 0.05 kg m^2, and 4.7 kg m^2 at joint 2.
 """
 VISCOUS: Final = 0.03
 """Standard deviation of w B before the log is seen."""
@@ -102,7 +108,7 @@ class Unknowns:
         column[len(INERTIAL) * (self.model.n - 1) : len(INERTIAL) * self.model.n] = point
         columns.append(LOAD * column[:, None])
         rotors = np.zeros((len(values), self.model.n))
-        rotors[parameters.places("rotor")] = np.diag(np.maximum(ROTOR[1] * self.inertia, 1e-3))
+        rotors[parameters.places("rotor")] = np.diag(np.maximum(ROTOR[1] * self.driven, 1e-3))
         return np.hstack([*columns, rotors])
 
     @cached_property
@@ -110,7 +116,7 @@ class Unknowns:
         """Base parameters before the log is seen: links of the robot's file, with rotors."""
         parameters = self.model.base.parameters
         rotors = np.zeros(len(self.full))
-        rotors[parameters.places("rotor")] = np.maximum(ROTOR[0] * self.inertia, 1e-3)
+        rotors[parameters.places("rotor")] = self.rotors
         return np.asarray(self.model.nominal + self.model.grouping @ rotors)
 
     @cached_property
@@ -120,6 +126,18 @@ class Unknowns:
         rows = [np.array(self.model.torque_rows(q, zero, axis)) for axis in (*np.eye(self.model.n), zero)]
         still = rows[-1] @ self.model.nominal
         return np.array([(rows[j] @ self.model.nominal - still)[j] for j in range(self.model.n)])
+
+    @property
+    def rotors(self) -> Array:
+        """Mean of the rotors' inertia before the log is seen [kg m^2], (n,)."""
+        return np.asarray(np.maximum(ROTOR[0] * self.driven, 1e-3))
+
+    @cached_property
+    def driven(self) -> Array:
+        """Inertia that each motor is sized for, (n,): of the links, at least a fraction of the robot's largest."""
+        kinds = np.array([joint.kind for joint in self.model.chain.joints])
+        largest = np.array([np.max(self.inertia[kinds == kind]) for kind in kinds])
+        return np.asarray(np.maximum(self.inertia, LIGHT * largest))
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:

@@ -37,7 +37,8 @@ def written(found: Identified, folder: Path) -> tuple[Path, ...]:
     """Write the numbers, the page and, for a known servo, the robot and the graph of its twin; returns their paths."""
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
-    if not found.known or _digest(folder) not in ("", found.record.get("sha256")):
+    stale = not found.known and (folder / ROBOT).exists()  # an unknown servo has no twin
+    if stale or _digest(folder) not in ("", found.record.get("sha256")):
         set_aside(folder)
     texts = {RESULT: json.dumps({**found.summary, "record": found.record}, indent=2) + "\n"}
     if found.known:

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import dmframe as dm
+from dmframe.graph.progress import progress_line
 
 
 class Terminal(io.StringIO):
@@ -28,3 +29,16 @@ def test_a_live_page_shows_its_steps_in_a_terminal_alone(monkeypatch: pytest.Mon
     monkeypatch.setattr(sys, "stderr", other := io.StringIO())
     graph.page(periods=False)
     assert other.getvalue() == ""
+
+
+def test_steps_are_kept_as_lines_on_request_but_not_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", other := io.StringIO())
+    clock = iter([0.0, 0.0, 9.0, 11.0, 11.0])
+    monkeypatch.setattr("dmframe.graph.progress.time.monotonic", lambda: next(clock))
+    with progress_line("log.csv", kept=True) as say:
+        for step in ("one", "two", "three"):
+            say(step)
+    assert other.getvalue() == "log.csv: one\nlog.csv: three\n"
+    with progress_line("log.csv", kept=True, quiet=True) as say:
+        say("four")
+    assert "four" not in other.getvalue()
