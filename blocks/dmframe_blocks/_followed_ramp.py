@@ -15,7 +15,22 @@ grow alike as long as r = u. Where they differ, one of them is the larger one, a
     sum over the joints of min_tau S_r(tau) - min_tau S_u(tau)
 
 compares a ramp and a lag with a lag alone. If v = F_tau u + w with one of these tau, then min S_u is at most the
-integral of |w|^2, and so the evidence is at least minus that. Below -doubt a ramp is taken as shown.
+integral of |w|^2, and so the evidence is at least minus that.
+
+The residuals of the better hypothesis have the mean square
+
+    s^2 = min(sum of min S_r, sum of min S_u) / max(t, evidence_time)
+
+at the time t after the delay is known. If they are Gaussian, and correlated over tau_c, the logarithm of the
+likelihood ratio is about evidence/(4 tau_c s^2). So evidence below evidence_time s^2 decides nothing: with 2 s and a
+tau_c of 0.1 s that is a logarithm of 5.
+
+A ramp is taken as shown below -(doubt + evidence_time s^2 + sum of S_u(0)/9). The last term is what a lag between two
+of the tau may leave, which a ramp may then imitate: for slow commands F_tau u - u is about -tau du/dt, so S_u(tau) for
+a true lag L is about (tau/L - 1)^2 S_u(0), at most a ninth of S_u(0) at the nearer of tau and 2 tau. A wrong
+conclusion is final, since from then on the command is no faster than the ramp, and nothing distinguishes them. That the
+robot follows is taken as shown above FOLLOWED doubt + evidence_time s^2: if that is wrong the command runs ahead of the
+ramp, and the motion shows it.
 """
 
 from __future__ import annotations
@@ -33,6 +48,10 @@ DOUBT: Final = 1e-3
 
 LAG: Final = 0.0125
 """Default of `lag_time` [s]."""
+EVIDENCE_TIME: Final = 2.0
+"""Default of `evidence_time` [s]."""
+FOLLOWED: Final = 0.1
+"""Share of `doubt` that suffices for the conclusion that the robot follows."""
 RATIOS: Final = (1, 2, 4, 8, 16)
 """Time constants of the filters, relative to `lag_time`; that of a cascade without feed-forward is 1/k_p."""
 
@@ -64,17 +83,20 @@ class Limited(NamedTuple):
 def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acted: SX) -> Limited:
     """The change towards the wished command; `acted` is the command that acted in the last completed sample.
 
-    Unless the evidence is below -doubt, or the delay is unknown, a path that needs more than a half of a_max gets that,
-    and as much again for corrections.
+    Unless a ramp is shown, or the delay is unknown, the path's own change is allowed also where it exceeds a_max. As
+    much again is allowed for corrections, but only if it is shown that the robot follows: a loop whose corrections a
+    ramp limits oscillates.
     """
     if "a_max" not in p:
         return Limited(wished - x.queue[:, -1], {}, {})
     room, known = p.a_max * u.T, 1 if block.delay_up_to is None else u.identified
     gap = acting(block, u, x.gaps)[:, 0]
-    filters, sums, evidence = _compared(u, x, p, acted, acted + gap, known)
-    follows = named("follows", known * (x.count > 1) * (evidence + p.doubt >= 0))
-    needed = named("needed", follows * (u.dq_path - x.path_before))
-    more = ca.fmax(room / 2, ca.fabs(needed))
+    filters, sums, evidence, left, between = _compared(u, x, p, acted, acted + gap, known)
+    unsure = named("unsure", p.evidence_time * left / ca.fmax(u.T * x.count, p.evidence_time))
+    possible = named("possible", known * (x.count > 1) * (evidence + unsure + between + p.doubt >= 0))
+    needed = named("needed", possible * (u.dq_path - x.path_before))
+    shown = named("shown", evidence - unsure - FOLLOWED * p.doubt > 0)
+    more = shown * ca.fmax(room / 2, ca.fabs(needed))
     low, high = ca.fmin(-room, needed - more), ca.fmax(room, needed + more)
     change = named("change", ca.fmin(ca.fmax(wished - x.queue[:, -1], low), high))
     sent = x.queue[:, -1] + change
@@ -85,16 +107,21 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
 
 def _compared(
     u: Signals, x: Signals, p: Signals, acted: SX, ramped: SX, known: SX | int
-) -> tuple[Mapping[str, SX], Mapping[str, SX], SX]:
-    """The states of the filters, the sums, and the evidence after a sample; filters begin at the joints' velocity."""
+) -> tuple[Mapping[str, SX], Mapping[str, SX], SX, SX, SX]:
+    """The states of the filters, the sums, the evidence, the smaller sum and a ninth of S_u(0) after a sample.
+
+    Filters begin at the joints' velocity.
+    """
     v, filters, sums = named("v_sample", (u.q - x.q_before) / u.T), dict[str, SX](), dict[str, SX]()
     ratio = u.T / p.lag_time
     for state, total, sent in (("lagged", "missed_u", acted), ("lagged_ramp", "missed_r", ramped)):
         held = getattr(x, state)
         filters[state] = known * filtered(held, sent, ratio) + (1 - known) * ca.repmat(v, 1, len(RATIOS))
         sums[total] = named(f"{total}_new", getattr(x, total) + u.T * squared(averages(held, sent, ratio), v))
-    evidence = named("evidence_new", ca.sum1(least(sums["missed_r"]) - least(sums["missed_u"])))
-    return filters, sums, evidence
+    by_ramp, by_lag = ca.sum1(least(sums["missed_r"])), ca.sum1(least(sums["missed_u"]))
+    evidence = named("evidence_new", by_ramp - by_lag)
+    between = named("between", ca.sum1(sums["missed_u"][:, 0]) / 9)
+    return filters, sums, evidence, named("unexplained", ca.fmin(by_ramp, by_lag)), between
 
 
 @operation

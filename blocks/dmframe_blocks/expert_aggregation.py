@@ -87,19 +87,21 @@ class ExpertAggregation(AbstractBlock):
     times as much. That the loop is stable does not follow. That h and y are forecast errors of the experts is how they
     are computed, and not a part of what is proved.
 
-    *Rate.* With `a_max` a command changes by at most a_max T per sample, as behind a ramp that limits accelerations. If
-    the path needs more than a half of it, it gets that, and as much again for corrections: the change lies between
+    *Rate.* With `a_max` the change of a command lies between
 
-        min(-a_max T, D - B)  and  max(a_max T, D + B),    B = max(a_max T/2, |D|)
+        min(-a_max T, D - B)  and  max(a_max T, D + B)
 
-    with the change D of dq_path, the velocity along the path without feedback; D counts as zero in the first two
-    samples, and while the delay is unknown. If a ramp limits the robot, the command must not ask for more. The
-    motion shows this: with the output r of a ramp of slope a_max behind the command u, and filters
-    :math:`F_\tau = 1 / (1 + \tau s)` for the unknown lag of the servo, the evidence is, summed over the joints,
+    with the change D of dq_path, the velocity along the path without feedback. D counts as zero in the first two
+    samples, while the delay is unknown, and if a ramp limits the robot; B is zero unless the robot is known to follow
+    faster changes, then max(a_max T/2, |D|). The motion shows which is true: with the output r of a ramp of slope a_max
+    behind the command u, and filters :math:`F_\tau = 1 / (1 + \tau s)` for the unknown lag of the servo, the evidence
+    is, summed over the joints,
 
-        min_tau (integral of |v - F_tau r|^2) - min_tau (integral of |v - F_tau u|^2)
+        E = min_tau (integral of |v - F_tau r|^2) - min_tau (integral of |v - F_tau u|^2)
 
-    for tau = 0 and 1, 2, 4, 8 and 16 times `lag_time`. Once it is below -doubt, D counts as zero.
+    for tau = 0 and 1, 2, 4, 8 and 16 times `lag_time`. With the mean s^2 of the smaller integral over time, at least
+    over `evidence_time`, and N the sum of the integrals of |v - u|^2, a ramp is shown by
+    E < -(doubt + evidence_time s^2 + N/9), and that the robot follows by E > doubt/10 + evidence_time s^2.
 
     Parameters
     ----------
@@ -128,9 +130,12 @@ class ExpertAggregation(AbstractBlock):
     u_max : diagonal (n,), rad/s, > 0
         Largest command.
     a_max : diagonal (n,), rad/s^2, > 0
-        Largest change of a command per second, where the path does not need more; by default it is not limited.
+        Largest change of a command per second, where the path does not need more; by default it is not limited. It
+        should be the acceleration to which the robot limits commands, or just below it.
     doubt : scalar, rad^2/s, > 0
-        Evidence for a ramp above which the command stays within `a_max`.
+        Least evidence for a ramp.
+    evidence_time : scalar, s, > 0
+        Time over which errors of the size that neither hypothesis explains count as chance.
     lag_time : scalar, s, > 0
         Shortest time constant of the filters for the lag of the servo, with `a_max`; the longest one is 16 times it.
 
@@ -190,6 +195,7 @@ class ExpertAggregation(AbstractBlock):
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     a_max: Diagonal | None = Positive("n", "rad/s^2", default=None)
     doubt: Scalar = Positive("", "rad^2/s", default=_followed_ramp.DOUBT)
+    evidence_time: Scalar = Positive("", "s", default=_followed_ramp.EVIDENCE_TIME)
     lag_time: Scalar = Positive("", "s", default=_followed_ramp.LAG)
 
     @model_validator(mode="after")

@@ -252,12 +252,24 @@ def _answer(u: Array, d: float, lag: float, T: float) -> Array:
 
 
 def _jitter(left: Array, u: Array, d: float, lags: Array, T: float) -> float:
-    """RMS jitter of the delay, from the correlation of residuals with command changes."""
+    """RMS jitter of the delay, from the squares of residuals or of sums of two.
+
+    A command that acts delta samples late adds -delta h(k) to the velocities, h the response to its change for one
+    sample. With independent delta of variance J^2, the expected square of the sum of the last L residuals is
+    s^2 + J^2 sum over the commands of (h(k) + ... + h(k-L+1))^2 times the squared change. Noise of the positions adds
+    as much to the sum of two residuals as to one, since the position in between cancels, and the displacement adds:
+    L = 2 if their correlation is nearer to -1/2, that of such noise, than to zero, otherwise L = 1.
+    """
+    L = 2 if 4 * np.sum(left[1:] * left[:-1]) < -np.sum(left**2) else 1
     above = below = 0.0
+    pulse = np.zeros((len(u), 1))
+    pulse[1:] = 1.0
+    soon = max(0.0, d - 0.5)
     for j, lag in enumerate(lags):
-        late, early = (_answer(u[:, [j]], max(0.0, d + half), lag, T)[_FIRST:, 0] for half in (0.5, -0.5))
-        moved = (late - early) ** 2 / (1.0 if d >= 0.5 else (0.5 + d) ** 2)
-        squares = left[:, j] ** 2
+        h = (_answer(pulse, soon, lag, T) - _answer(pulse, d + 0.5, lag, T))[1:, 0] / (d + 0.5 - soon)
+        moved = np.convolve(np.convolve(h, np.ones(L)) ** 2, np.diff(u[:, j], prepend=u[0, j]) ** 2)
+        moved = moved[_FIRST + L - 1 : len(u)]
+        squares = np.convolve(left[:, j], np.ones(L), "valid") ** 2
         weight = 1 / (float(np.mean(squares)) ** 2 + 1e-30)
         above += weight * float(np.sum((moved - moved.mean()) * (squares - squares.mean())))
         below += weight * float(np.sum((moved - moved.mean()) ** 2))

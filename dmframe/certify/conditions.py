@@ -32,7 +32,15 @@ from dmframe.block.model import symbols_in
 from dmframe.certify.assumed import SIGNS, assumed_weights, decidable, is_assumed
 from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, Part
-from dmframe.certify.definite import body_pivots, is_mass_matrix, is_matrix, least_body_pivot, least_sampled, load_in
+from dmframe.certify.definite import (
+    body_pivots,
+    is_mass_matrix,
+    is_matrix,
+    least_body_pivot,
+    least_sampled,
+    load_in,
+    unphysical_links,
+)
 from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.sampler import over_horizon
@@ -78,7 +86,9 @@ def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterato
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     yield from matrices
     if any(item.how == "sampled" for item in matrices):
-        yield Assumption(Text(BODIES, " between the sampled poses; some link is no physical body"), "property P2")
+        found = " and ".join(unphysical_links(claim.diagram.robot))
+        text = f" between the sampled poses, since what joint {found} moves is no physical body"
+        yield Assumption(Text(BODIES, text), "property P2")
     yield from _loads(claim)
     if claim.cascaded:
         yield from small_gain_conditions(claim, numbers)

@@ -22,6 +22,15 @@ from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
 
 
+def unphysical_links(robot: Any) -> list[str]:
+    """Names of the joints whose links together are no body of a positive mass distribution."""
+    return [
+        joint.name
+        for joint, row in zip(robot.joints, robot.inertia, strict=True)
+        if not min(pivots(pseudo_inertia(row))) > 0
+    ]
+
+
 def least_body_pivot(robot: Any) -> Fraction:
     """Positive iff each link's inertia is that of some mass distribution; M(q) is then positive definite at every q."""
     return min(min(pivots(pseudo_inertia(row))) for row in robot.inertia)

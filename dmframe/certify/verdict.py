@@ -89,6 +89,16 @@ class Verdict:
         return self.claim if self.claim is not None and self.claim.over_samples else None
 
     @property
+    def stable(self) -> bool:
+        """True if it is proved in continuous time, without a residual, that the states of the closed loop are bounded.
+
+        Combinations of states that no rate depends on, such as whole turns of a joint, are left out. False for a proof
+        of an estimator over samples, and for one that leaves states open.
+        """
+        whole = self.outcome == "proved" and self.flow_claim is not None and not self.bounds
+        return whole and self.states is not None and not self.states.open
+
+    @property
     def rows_assumed(self) -> bool:
         """True if an estimator's rows could not be compared with motions of the plant."""
         return any(UNCHECKED in item.text for item in self.assumptions)

@@ -12,7 +12,7 @@ import typer
 from dmframe.cli.arguments import NOTHING, Listed, graph_names, home, lesson_numbers, robot_names, type_names
 from dmframe.cli.streams import tell
 from dmframe.common.errors import UnknownNameError
-from dmframe.common.files import write_text
+from dmframe.common.files import check_new, contains, write_text
 
 if TYPE_CHECKING:
     from dmframe.config.registry import Registry
@@ -82,11 +82,16 @@ def new(
         refuse({"--tool": tool is not None, "--hold": bool(hold)}, "a packaged graph has its own; name a robot")
         text = known[name].read_text(encoding="utf-8")
     elif is_robot(name):
-        made = first_graph(name, target.parent, tool, angles("--hold", hold))
+        made = first_graph(name, target.parent, tool, angles("--hold", hold), stem=target.stem)
         text, notes = made.text, made.notes
+        if not force:
+            check_new(target)  # before the robot's file is written
         for model, content in made.robot.items():
-            write_text(target.with_name(model), content, new=not force)
-            notes = (f"wrote {target.with_name(model)}", *notes)
+            place = target.with_name(model)
+            if contains(place, content):
+                continue  # from an earlier call
+            write_text(place, content, new=not force)
+            notes = (f"wrote {place}", *notes)
     else:
         # a graph may be a misspelt one; a robot is never the spelling of another one
         misspelt = bool(difflib.get_close_matches(name, known, n=1, cutoff=0.6))

@@ -11,6 +11,7 @@ import typer
 from dmframe.cli.arguments import Trust, graph_names
 from dmframe.cli.streams import tell
 from dmframe.common.errors import MissingError
+from dmframe.common.version import installing
 
 PACKAGES: Final = ("starlette", "uvicorn", "watchfiles")
 
@@ -27,7 +28,7 @@ def studio(
     """
     missing = [name for name in PACKAGES if find_spec(name) is None]
     if missing:
-        raise MissingError(f"studio: {', '.join(missing)} not installed; pip install dmframe[studio]")
+        raise MissingError(f"studio: {', '.join(missing)} not installed; {installing('studio')}")
     from dmframe.studio.serve import graph_file, serve
 
     path: Path = graph_file(file)

@@ -14,6 +14,7 @@ from typing import IO, Final
 from dmframe.common.errors import OutputError
 
 FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)
+EXISTS: Final = "exists already; choose a new file"
 
 
 def encoded(text: str) -> bytes:
@@ -123,6 +124,20 @@ def write_bytes(path: str | Path, content: bytes, *, new: bool = False) -> None:
                 device.write(content)
 
 
+def check_new(path: Path) -> None:
+    """Raise `OutputError` if the file exists already: before something else is written, as `write_text` does later."""
+    if path.exists():
+        raise OutputError(f"{path}: {EXISTS}")
+
+
+def contains(path: Path, text: str) -> bool:
+    """True if the file exists and its content is this text."""
+    try:
+        return path.read_bytes() == encoded(text)
+    except OSError:
+        return False
+
+
 def put(target: Path, content: bytes) -> None:
     """Create or replace a regular file, and sync it to the disk.
 
@@ -186,7 +201,7 @@ def _claimed(path: Path) -> Iterator[None]:
         try:
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         except FileExistsError:
-            raise OutputError(f"{path}: exists already; choose a new file") from None
+            raise OutputError(f"{path}: {EXISTS}") from None
     try:
         yield
     except BaseException:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 
 def version() -> str:
     """Installed version, looked up at the call, since that takes a while."""
@@ -24,3 +26,13 @@ def version_of(package: str) -> str | None:
     head, _, _ = (found.read_text("METADATA") or "").partition("\n\n")
     versions = (line.removeprefix("Version: ") for line in head.splitlines() if line.startswith("Version: "))
     return next(versions, None) or found.version
+
+
+def installing(extra: str) -> str:
+    """Command that installs the packages of an extra: from the folder of the sources, if dmframe runs there."""
+    folder = Path(__file__).parents[2]
+    return (
+        f'pip install -e "{folder}[{extra}]"'
+        if (folder / "pyproject.toml").exists()
+        else f'pip install "dmframe[{extra}]"'
+    )

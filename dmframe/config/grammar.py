@@ -75,6 +75,11 @@ def version(value: Any) -> Any:
     return value
 
 
+def _or_none(value: Any) -> Any:
+    """No keys for null, so that an override can remove a section."""
+    return {} if value is None else value
+
+
 def _tool(value: Any) -> Any:
     if isinstance(value, str) or value is None:
         return value
@@ -213,7 +218,9 @@ class GraphFile(Section):
     tolerance: Annotated[float | str | None, BeforeValidator(_tolerance)] = Field(
         None, description="largest error (root mean square over the last quarter) with which a rehearsal passes"
     )
-    start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
+    start: Annotated[
+        dict[str, Any], BeforeValidator(_or_none), WithJsonSchema({"type": ["object", "null"], "default": {}})
+    ] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}; null removes them")
     solver: SolverSection = SolverSection()
     log: LogSection = LogSection()
     blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")

@@ -28,7 +28,7 @@ def checks_of(graph: Graph, candidate: Candidate, found: Designed, progress: Pro
     if candidate.adaptive:
         progress.say("proof", f"proving {candidate.law}")
         verification = graph.verify()
-        yield Check("proof", verification.headline, verification.proved)
+        yield Check("proof", verification.headline, verification.proved, verification.stable)
         if not verification.proved:
             return
     yield rehearsed(graph, candidate, found, progress)

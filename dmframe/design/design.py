@@ -84,6 +84,7 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
         return replace(found, reason="there is no C compiler, without which the comparison takes hours; install gcc")
     progress.say("robot", "reading the robot")
     first = first_graph(request.robot, found.folder, request.tool, dict(request.hold))
+    found = replace(found, assumed=first.notes)
     chain = _saved(first, found.folder)
     if sliding := [joint.name for joint in chain.joints if joint.kind == "prismatic"]:
         reason = (

@@ -25,11 +25,15 @@ LIMITS: Final = "limits.yaml"
 @final
 @dataclass(frozen=True)
 class Check:
-    """A check of the handed-over graph: what was checked, its conclusion, and whether it passed."""
+    """A check of the handed-over graph: what was checked, its conclusion, and whether it passed.
+
+    `whole` is false for a proof that does not cover the stability of the loop.
+    """
 
     of: str
     text: str
     passed: bool
+    whole: bool = True
 
 
 @final
@@ -57,6 +61,8 @@ class Designed:
         The log from which the servo was identified; empty without one.
     notes
         How the user's path was changed.
+    assumed
+        What was chosen and assumed of the robot, such as the inertia of a link.
     task
         What follows the path.
     seconds
@@ -77,6 +83,7 @@ class Designed:
     command: str = ""
     log: str = ""
     notes: Sequence[str] = ()
+    assumed: Sequence[str] = ()
     task: str = "joints"
     seconds: float = 48.0
 
@@ -123,12 +130,14 @@ class Designed:
             "payload": self.payload,
             "task": self.task,
             "notes": list(self.notes),
+            "assumed": list(self.assumed),
             "checks": [vars(check) for check in self.checks],
         }
 
     def __str__(self) -> str:
         lines = [f"{self.outcome}: {self.headline}", f"  {self.reason}"]
         lines += [f"  {check.of}: {check.text}" for check in self.checks]
+        lines += [f"  assumed: {text}" for text in self.assumed]
         lines += [f"  {name:<14} {about}" for name, about in self.files]
         return "\n".join(lines)
 

@@ -24,8 +24,9 @@ from dmframe.robot.chain import Joint, SerialChain, pin_configuration
 from dmframe.robot.convert import FORMATS, Element, joints_to, read_any, written
 from dmframe.robot.flange import AXES, MOVING, flange_of
 from dmframe.robot.library import find_robot, load, robots
-from dmframe.robot.repairs import repaired
-from dmframe.robot.urdf_tree import tree_faults
+from dmframe.robot.repairs import impossible_inertias, repaired
+from dmframe.robot.urdf import check_parts
+from dmframe.robot.urdf_numbers import faults_of_tree
 
 RATE: Final = 80.0
 """Bandwidth of the servo's velocity loop at the largest inertia of a joint [rad/s]."""
@@ -81,6 +82,7 @@ def first_graph(
     hold: Mapping[str, float] | None = None,
     *,
     axes: tuple[int, int] = AXES,
+    stem: str = "",
 ) -> FirstGraph:
     """A graph with which a robot runs and verifies.
 
@@ -91,6 +93,7 @@ def first_graph(
     tool : frame at the end of the arm; by default the flange
     hold : joints between the base and the tool that do not move, with their positions [rad, m]
     axes : least and largest number of moving joints of a robot file
+    stem : name of the graph's file without ending, after which a changed robot file is named; default: that of `name`
 
     Raises
     ------
@@ -104,27 +107,30 @@ def first_graph(
     path = Path(name).expanduser()
     where = f"robot {path.name}"
     file = read_any(path)
-    for element, fault in tree_faults(file.root):
-        raise RobotError(f"{where}: {element.tag} {element.get('name') or 'without a name'}: {fault}")
+    for fault in faults_of_tree(file.root, file.lines, where):
+        raise RobotError(fault)
     frame = tool or flange_of(file.root, where)
     _check_axes(file.root, frame, hold, where, axes)
     before = ElementTree.tostring(file.root)
     notes = repaired(file.root, frame, where)
     changed = file.converted or ElementTree.tostring(file.root) != before
-    urdf_name = f"{path.name.partition('.')[0]}.urdf"
+    original = path.name.partition(".")[0]
+    urdf_name = f"{original}.urdf"
     if not changed:
         text, model, chain = None, os.path.relpath(path, folder), load(str(path), tool=frame, hold=hold)
     else:
         text = written(file.root, notes)
-        if (folder / urdf_name).resolve() == path.resolve():
-            urdf_name = f"{path.stem}_arm.urdf"
+        if stem not in ("", original) or (folder / urdf_name).resolve() == path.resolve():
+            urdf_name = f"{stem or path.stem}_arm.urdf"
         model = urdf_name
+        check_parts(file.root, file.lines, where, hold=hold, tool=frame)  # with the lines of the user's file
         with tempfile.TemporaryDirectory() as place:
-            made = Path(place) / urdf_name
+            made = Path(place) / f"{original}.urdf"  # the name of the robot, and of its file in messages
             made.write_text(text, encoding="utf-8")
             chain = load(str(made), tool=frame, hold=hold)
     rotor = {joint: value for joint, value in file.armature.items() if joint in chain.joint_names}
     said = [f"tool: {frame}"] if tool is None else []
+    said += impossible_inertias(file.root, frame)
     if rotor:
         said.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
     return FirstGraph(
@@ -169,7 +175,7 @@ def _text(
     # a sample changes the command by w Y Gamma Y' sigma and by Lambda tau^2 sigma, times the period
     Gamma = STEP / PERIOD / np.max(rows / K_D)
     Lambda = STEP / PERIOD / np.maximum(weight + inertia, 1e-2 * weight.max()) ** 2
-    amplitude = np.array([_amplitude(joint) for joint in chain.joints])
+    amplitude = np.array([float(_number(_amplitude(joint))) for joint in chain.joints])
     rate = 1.0 + 0.8 * np.arange(chain.n) / max(1, chain.n - 1)
     limits = np.array([joint.velocity for joint in chain.joints])
     slow = min(1.0, float(np.min(SHARE * limits / np.maximum(amplitude * rate, 1e-9))))
@@ -183,20 +189,23 @@ title: {chain.name} tracks a joint path through a PID position servo
 {comments}{robot}   # {source}
 clock: {1000 * PERIOD:g} ms
 duration: 30 s
-start: {{q: {_list(centre)}}}   # inside the limits and away from singular postures
+start: {{q: [{", ".join(f"{q:.6g}" for q in centre + amplitude)}]}}   # on the path, which begins at rest
 blocks:
-  path:     {{type: sinusoid, center: {_list(centre)}, amplitude: {_list(amplitude)}, rate: {_list(slow * rate)}}}
+  # The centre is inside the limits and away from singular postures.
+  path:     {{type: sinusoid, center: {_list(centre)}, amplitude: {_list(amplitude)}, rate: {_list(slow * rate)},
+             phase: 1.570796}}
   task:     {{type: joint_tracking, alpha_bar: 3}}
   model:    {{type: regressor, friction: [viscous, coulomb], rotors: true}}
   # Each gain changes the commands by {100 * STEP:g} % of the error in one sample, at most.
   dynamics: {{type: dynamic_compensator, Gamma: {_number(Gamma)}}}
-  # Initially w is half its true value, 1/K_D.
+  # Initially w is half its true value, 1/K_D; w_P and w_I are within 10 % of theirs, K_P/K_D and K_I/K_D.
   inverse:  {{type: pid_inverse, K_c: 2, Lambda: {_list(Lambda)}, Lambda_P: 1, Lambda_I: 1,
              w: {_list(0.5 / K_D)}, w_P: 2, w_I: 0.7, w_box: {box}, w_P_box: [1, 3], w_I_box: [0.5, 2]}}
   # Placeholders, hidden from the controller: manufacturers do not publish them.
   servo:    {{type: pid_servo, K_D: {_list(K_D)}, K_P: {_list(RATIO_P * K_D)}, K_I: {_list(RATIO_I * K_D)}}}
   arm:      {{type: manipulator, viscous: {_list(VISCOUS * K_D)}, coulomb: {_list(COULOMB * K_D)},
              rotor: {_list(rotor)}}}
+# The same feedback gain without adaptation. Neither law is tuned; `dmframe design` compares tuned ones.
 baseline:
   inverse: {{type: kinematic_command}}
   model: null

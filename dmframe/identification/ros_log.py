@@ -16,6 +16,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.common.errors import MissingError, ValueFault, listed
+from dmframe.common.version import installing
 from dmframe.identification.log import Array
 
 STATES: Final = "sensor_msgs/msg/JointState"
@@ -137,7 +138,7 @@ def _topics(path: Path, joints: Sequence[str]) -> list[_Topic]:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise MissingError(
-            'reading a ROS bag needs the package rosbags, which is not installed; pip install "dmframe[ros]"',
+            f"reading a ROS bag needs the package rosbags, which is not installed; {installing('ros')}",
             location=str(path),
         ) from None
     found = dict[str, _Topic]()

@@ -99,6 +99,8 @@ def _error_bounds(verdict: Verdict) -> Iterator[str]:
     assert verdict.errors is not None
     found = verdict.errors.found
     if not found:
+        for reason in verdict.errors.missing:
+            yield _wrap(f"no bound on the tracking error: {reason}")
         return
     over, holds = plain(found[0].over_s, "s"), found[0].holds
     yield f"  bounds over {over} from the graph's start, in {holds}; {disturbance_of(found[0])}"

@@ -68,6 +68,11 @@ class Verification(AboutGraph):
         return self.verdict.outcome == "proved"
 
     @property
+    def stable(self) -> bool:
+        """True if the proof bounds all states of the closed loop, in continuous time; `proved` alone may cover less."""
+        return self.verdict.stable
+
+    @property
     def headline(self) -> str:
         """Outcome in words, with the limits of the proof."""
         return self.verdict.headline

@@ -16,9 +16,10 @@ from xml.parsers import expat
 import numpy as np
 
 from dmframe.common.errors import MissingError, RobotError
+from dmframe.common.version import installing
 from dmframe.robot.reduction import motion_subspace
 from dmframe.robot.urdf_numbers import INERTIA
-from dmframe.robot.xml_tree import parse_xml
+from dmframe.robot.xml_tree import Lines, parse_xml
 
 Element = ElementTree.Element
 
@@ -30,9 +31,10 @@ FORMATS: Final = (".urdf", ".xacro", ".xml", ".mjcf")
 @final
 @dataclass(frozen=True)
 class RobotFile:
-    """A robot's URDF tree, and the armature of its joints [kg m^2, or kg], which a URDF cannot state."""
+    """A robot's URDF tree, the lines of a URDF file, and the armature [kg m^2, or kg], which a URDF cannot state."""
 
     root: Element
+    lines: Lines = field(default_factory=Lines)
     armature: dict[str, float] = field(default_factory=dict)
     converted: bool = False
 
@@ -51,7 +53,7 @@ def read_any(path: Path) -> RobotFile:
     if not path.is_file():
         raise MissingError(f"{where}: expected a robot file, found none at {path}")
     try:
-        root, _ = parse_xml(path.read_text(encoding="utf-8"))
+        root, lines = parse_xml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, expat.ExpatError) as fault:
         raise RobotError(f"{where}: expected a URDF, xacro or MJCF file, found broken XML: {fault}") from None
     if root.tag == "mujoco":
@@ -60,7 +62,7 @@ def read_any(path: Path) -> RobotFile:
         raise RobotError(f"{where}: expected <robot> of a URDF or <mujoco> of an MJCF file, found <{root.tag}>")
     if path.suffix == ".xacro" or any("xacro" in str(element.tag) for element in root.iter()):
         return RobotFile(parse_xml(_expanded(path, where))[0], converted=True)
-    return RobotFile(root)
+    return RobotFile(root, lines)
 
 
 def _expanded(path: Path, where: str) -> str:
@@ -70,7 +72,7 @@ def _expanded(path: Path, where: str) -> str:
         from xacrodoc import packages  # finds ROS packages without ROS, from the file's folder upwards
     except ModuleNotFoundError:
         raise MissingError(
-            f'{where}: xacro files need the package xacrodoc, which is not installed; pip install "dmframe[xacro]"'
+            f"{where}: xacro files need the package xacrodoc, which is not installed; {installing('xacro')}"
         ) from None
     try:
         packages.walk_up_from(path.resolve())
@@ -112,7 +114,7 @@ def _from_mjcf(path: Path, where: str) -> RobotFile:
             fixed.append(_origin(frame.placement))
     names = list(model.names)
     armature = {names[i]: float(model.armature[model.joints[i].idx_v]) for i in range(1, model.njoints)}
-    return RobotFile(root, {name: value for name, value in armature.items() if value}, converted=True)
+    return RobotFile(root, armature={name: value for name, value in armature.items() if value}, converted=True)
 
 
 def _add_joint(root: Element, model: Any, index: int, links: dict[int, str], where: str) -> None:

@@ -85,6 +85,7 @@ def _check_kinds(
         if name not in kept and name not in hold:
             continue
         kind = joint.shortname().removeprefix("JointModel")
+        kind = {"FreeFlyer": "floating", "Planar": "planar"}.get(kind, kind)  # as a URDF calls it
         if name in kept and (name in mimics or kind.startswith("Mimic")):
             raise RobotError(
                 f"{where}: joint {name} mimics another joint; it can be held, not free", path=("robot", "free")
@@ -92,7 +93,8 @@ def _check_kinds(
         if joint.nv != 1:
             use = "a free joint to be" if name in kept else "a held joint to be"
             raise RobotError(
-                f"{where}: joint {name} is of type {kind}; expected {use} revolute or prismatic",
+                f"{where}: joint {name} is of type {kind}; expected {use} revolute or prismatic; if it does not move "
+                "in use, make it fixed in the robot's file",
                 path=("robot", "free" if name in kept else "hold"),
             )
         subspace = motion_subspace(joint)
@@ -100,7 +102,8 @@ def _check_kinds(
             _check_unit(where, name, hold[name], "rad" if np.any(subspace[3:]) else "m")
         if name in kept and np.any(subspace[:3]) and np.any(subspace[3:]):
             raise RobotError(
-                f"{where}: joint {name} is of type {kind}; expected a free joint to be revolute or prismatic",
+                f"{where}: joint {name} is of type {kind}; expected a free joint to be revolute or prismatic; "
+                "if it does not move in use, make it fixed in the robot's file",
                 path=("robot", "free"),
             )
         if name in kept and model.armature[joint.idx_v] != 0:

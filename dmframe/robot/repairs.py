@@ -11,7 +11,7 @@ import numpy as np
 
 from dmframe.robot.convert import Element, joints_to
 from dmframe.robot.flange import MOVING
-from dmframe.robot.urdf_numbers import INERTIA, numbers, part_faults
+from dmframe.robot.urdf_numbers import INERTIA, ROUNDING, numbers, part_faults
 from dmframe.robot.xml_tree import Lines
 
 DENSITY: Final = 5.0
@@ -33,6 +33,27 @@ def repaired(root: Element, tool: str, where: str) -> list[str]:
     """
     way = joints_to(root, tool)
     return [*_without_faults(root, way, tool, where), *_limits(root, way), *_inertias(root, way)]
+
+
+def impossible_inertias(root: Element, tool: str) -> Iterator[str]:
+    """Notices of links between the base and `tool` whose largest moment of inertia exceeds the sum of the others.
+
+    Each link is a body of its own here; what is fixed to it may make up for it.
+    """
+    moved = {_end(joint, "child") for joint in joints_to(root, tool)}
+    for link in root.findall("link"):
+        for inertia in link.findall("inertial/inertia"):
+            xx, xy, xz, yy, yz, zz = (_value(inertia.get(key, "0")) for key in INERTIA)
+            matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            if link.get("name", "") not in moved or not np.isfinite(matrix).all():
+                continue
+            least, middle, most = np.linalg.eigvalsh(matrix)
+            if most > (1 + ROUNDING) * (least + middle):
+                yield (
+                    f"link {link.get('name', '')}: no body has its moments of inertia, {least:.3g}, {middle:.3g} and "
+                    f"{most:.3g} kg m^2: the largest exceeds the sum of the others; correct them in the file, since "
+                    "dmframe verify cannot prove M(q) > 0 with them"
+                )
 
 
 def _without_faults(root: Element, way: list[Element], tool: str, where: str) -> Iterator[str]:

@@ -59,8 +59,7 @@ def read_urdf(
     except (OSError, UnicodeDecodeError) as fault:
         raise RobotError(f"{where}: expected a readable URDF file in UTF-8: {fault}", path=URDF_PATH) from None
     root, lines = _parse(text, where)
-    _leave_out(root, lines, where, _moved(root, free, hold, tool))
-    raise_all([RobotError(text, path=URDF_PATH) for text in faults_of(root, lines, where)])
+    check_parts(root, lines, where, free=free, hold=hold, tool=tool)
     normalise_numbers(root)
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
@@ -69,6 +68,20 @@ def read_urdf(
         reason = str(fault).strip().rstrip(".")
         raise RobotError(f"{where}: expected a valid URDF; the parser reports: {reason}", path=URDF_PATH) from None
     return model, _mimics(root, lines, where)
+
+
+def check_parts(
+    root: ElementTree.Element,
+    lines: Lines,
+    where: str,
+    *,
+    free: Sequence[str] | None = None,
+    hold: Collection[str] = (),
+    tool: object = None,
+) -> None:
+    """Remove invalid inertias of links that do not move, and raise `RobotError` or `Faults` for all other faults."""
+    _leave_out(root, lines, where, _moved(root, free, hold, tool))
+    raise_all([RobotError(text, path=URDF_PATH) for text in faults_of(root, lines, where)])
 
 
 def _moved(root: ElementTree.Element, free: Sequence[str] | None, hold: Collection[str], tool: object) -> set[str]:

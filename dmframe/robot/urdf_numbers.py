@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dmframe.robot.urdf_tree import tree_faults
-from dmframe.robot.xml_tree import Lines
+from dmframe.robot.xml_tree import Lines, place_of
 
 Element = ElementTree.Element
 
@@ -55,18 +55,23 @@ def numbers(text: str) -> list[float]:
 
 def faults_of(root: Element, lines: Lines, where: str) -> Iterator[str]:
     """Faults of the tree, and of the numbers of links and joints, with their lines."""
-    for element, text in tree_faults(root):
-        name = next((e for e in (element, *_parents(root, element)) if e.tag in ("link", "joint")), element)
-        yield f"{where}:{lines[element]}: {name.tag} {name.get('name') or 'without a name'}: {text}"
+    yield from faults_of_tree(root, lines, where)
     for kind in CHECKS:
         for element in root.findall(kind):
             yield from part_faults(element, lines, where)
 
 
+def faults_of_tree(root: Element, lines: Lines, where: str) -> Iterator[str]:
+    """Faults of the tree with their lines, and the link or joint that contains the element."""
+    for element, text in tree_faults(root):
+        name = next((e for e in (element, *_parents(root, element)) if e.tag in ("link", "joint")), element)
+        yield f"{place_of(where, lines, element)}: {name.tag} {name.get('name') or 'without a name'}: {text}"
+
+
 def part_faults(element: Element, lines: Lines, where: str) -> list[str]:
     """Faults of the numbers of a link or a joint."""
     kind, name = element.tag, element.get("name", "")
-    return [f"{where}:{lines[culprit]}: {kind} {name}: {text}" for culprit, text in CHECKS[kind](element)]
+    return [f"{place_of(where, lines, culprit)}: {kind} {name}: {text}" for culprit, text in CHECKS[kind](element)]
 
 
 def _parents(root: Element, element: Element) -> Iterator[Element]:

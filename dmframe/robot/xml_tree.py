@@ -30,3 +30,8 @@ def parse_xml(text: str) -> tuple[Element, Lines]:
     parser.CharacterDataHandler = builder.data
     parser.Parse(text, True)
     return builder.close(), lines
+
+
+def place_of(where: str, lines: Lines, element: Element) -> str:
+    """File and line of an element; the file alone for one that was added or converted."""
+    return f"{where}:{lines[element]}" if lines.get(element) else where

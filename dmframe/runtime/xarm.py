@@ -14,6 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.common.errors import DriveError, LostError
+from dmframe.common.version import installing
 from dmframe.runtime.arm import PATIENCE, ArmJoints, motion_timeout
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import Link, Wire
@@ -41,7 +42,7 @@ def opened(host: str) -> Any:
         from xarm.wrapper import XArmAPI
     except ImportError:
         raise DriveError(
-            "--robot xarm: expected the package xarm-python-sdk, found none; install it: pip install 'dmframe[xarm]'"
+            f"--robot xarm: expected the package xarm-python-sdk, found none; install it: {installing('xarm')}"
         ) from None
     try:
         return XArmAPI(host, is_radian=True)

@@ -102,5 +102,31 @@ def too_fast(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndar
     return found
 
 
+FAR = 0.5
+"""Fraction of the path's extent above which the distance of the start from the path causes a warning."""
+
+
+def off_path(diagram: Diagram, columns: Mapping[str, np.ndarray]) -> list[str]:
+    """Warnings about a start off the path by more than `FAR` of the path's extent, its largest distance from its start.
+
+    A set-point has no extent and causes none.
+    """
+    units = {signal.label: signal.unit for signal in diagram.loop.outputs}
+    found = list[str]()
+    for pair in diagram.loop.followed:
+        if pair.desired not in columns or pair.actual not in columns or units[pair.desired] != units[pair.actual]:
+            continue
+        desired, actual = columns[pair.desired], columns[pair.actual]
+        gap = float(np.linalg.norm(actual[0] - desired[0]))
+        extent = float(np.max(np.linalg.norm(np.nan_to_num(desired - desired[0]), axis=1)))
+        if gap > FAR * extent > 0:
+            unit = units[pair.actual]
+            found.append(
+                f"{pair.actual} starts {plain(gap, unit)} from {pair.desired}, which moves by {plain(extent, unit)} in "
+                "this run; --set start=null starts on the path"
+            )
+    return found
+
+
 def _warns(diagram: Diagram, way: Way) -> bool:
     return any(port.notice for wire in way.through for port in diagram.blocks[wire.block].outputs)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.common.errors import DmframeError, MissingError, visible
 from dmframe.common.interrupts import in_child
+from dmframe.common.version import installing
 from dmframe.study.chunks import Chunk
 from dmframe.study.executor import Answer, Computed, Executor, Failed, compute, machine, versions
 from dmframe.study.packing import packed, unpacked
@@ -65,7 +66,7 @@ class Cluster(Executor):
         try:
             import distributed
         except ImportError:
-            raise MissingError('--scheduler: dask.distributed is not installed; pip install "dmframe[study]"') from None
+            raise MissingError(f"--scheduler: dask.distributed is not installed; {installing('study')}") from None
         self._library, self._address = distributed, address
         self._parcel, self._key = packed(study), study.key
         self._client: Any = None

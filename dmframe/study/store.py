@@ -19,6 +19,7 @@ import numpy as np
 from dmframe.common.errors import MissingError, OutputError, ValueFault, visible
 from dmframe.common.files import append, encoded, expanded, put, writing
 from dmframe.common.seal import digest
+from dmframe.common.version import installing
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.executor import Computed, versions
 from dmframe.study.journal import (
@@ -50,7 +51,7 @@ def polars() -> Any:
     try:
         import polars
     except ImportError:
-        raise MissingError('study: polars is not installed; pip install "dmframe[study]"') from None
+        raise MissingError(f"study: polars is not installed; {installing('study')}") from None
     return polars
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.common.errors import MissingError, OutputError
 from dmframe.common.files import writing
+from dmframe.common.version import installing
 from dmframe.study.identity import key_of
 from dmframe.study.kernel_lock import journal_lock
 
@@ -35,7 +36,7 @@ def opened(folder: Path, tuning: Tuning, *, create: bool) -> Iterator[optuna.Stu
         from optuna.storages import JournalStorage
         from optuna.storages.journal import JournalFileBackend
     except ImportError:
-        raise MissingError('tuning needs Optuna: pip install "dmframe[tune]"') from None
+        raise MissingError(f"tuning needs Optuna: {installing('tune')}") from None
     path = folder / JOURNAL
     if not create and not path.is_file():
         raise MissingError(f"{folder}: expected a search, {JOURNAL}, found none")

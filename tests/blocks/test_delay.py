@@ -77,6 +77,25 @@ def test_half_a_sample_is_no_whole_number_of_samples() -> None:
     assert fitted_delay(np.vstack([np.zeros((1, 2)), np.cumsum(0.05 * u, axis=0)]), u, 0.05).whole == 0
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_the_jitter_in_noise_is_that_of_the_commands(late: bool) -> None:
+    """Joints with lags of at most a sample, moved by Euler steps, with noise as large as a command's effect."""
+    T, dt, wanted = 0.02, 0.0005, 0.5 if late else 0.0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        u = 0.01 * np.sign(rng.standard_normal((150, 3)))
+        q, v, lags = [np.zeros(3)], np.zeros(3), np.array([0.02, 0.012, 0.006])
+        for k in range(len(u)):
+            acting, pose = u[max(0, k - 2 - int(late and rng.random() < 0.5))], q[-1].copy()
+            for _ in range(round(T / dt)):
+                v = v + dt * (acting - v) / lags
+                pose += dt * v
+            q.append(pose)
+        found = fitted_delay(np.array(q) + 1e-4 * rng.standard_normal((151, 3)), u, T)
+        assert abs(found.jitter - wanted) < 0.25, str(found)
+        assert found.refused if late else found.whole == 2, str(found)
+
+
 @pytest.mark.parametrize("clock", ["90 ms", "20 ms"])
 def test_smooth_motion_does_not_show_a_delay(clock: str) -> None:
     for name in ("ur10_slow_kinematic", "ur10_fast_kinematic"):

@@ -162,7 +162,36 @@ def test_a_path_that_needs_more_than_a_max_gets_it_unless_a_ramp_limits_the_robo
         assert states["evidence"] > 0
         assert np.abs(np.diff(sent[100:])).max() > 1.5 * most * T
     if not ramp and not lag:
-        np.testing.assert_allclose(sent[5:], speed[5:], atol=1e-12)
+        np.testing.assert_allclose(sent[20:], speed[20:], atol=1e-12)  # from there on it is shown
+
+
+@pytest.mark.parametrize(
+    ("evidence", "left", "lags", "limits"),
+    [
+        (0.0, 0.0, 0.0, "path"),  # nothing is known
+        (2e-4, 0.0, 0.0, "corrections"),
+        (2e-4, 5e-3, 0.0, "path"),  # 10 s with a mean square of 5e-4: less than 1e-3 may be chance
+        (2e-3, 5e-3, 0.0, "corrections"),
+        (-5e-4, 0.0, 0.0, "path"),
+        (-1.5e-3, 0.0, 0.0, "ramp"),
+        (-1.5e-3, 5e-3, 0.0, "path"),
+        (-4e-3, 5e-3, 0.0, "ramp"),
+        (-4e-3, 5e-3, 2e-2, "path"),  # a lag between two filters may leave a ninth of 2.9e-2
+    ],
+)
+def test_corrections_exceed_a_max_only_where_the_motion_shows_that_the_robot_follows(
+    evidence: float, left: float, lags: float, limits: str
+) -> None:
+    most, needed = 0.5, 0.8 * T
+    block = KIND(a_max=[most])
+    sums = {"missed_r": np.full((1, 6), left + max(evidence, 0)), "missed_u": np.full((1, 6), left - min(evidence, 0))}
+    sums["missed_u"][0, 0] += lags
+    for sign in (1, -1):
+        u = {"q": [0.0], "dq_model": [0.0], "q_model": [0.0], "slope": [1.0], "epsilon": [0.0], "T": T}
+        u |= {"dq_r": [sign * 9.0], "dq_path": [sign * needed]}
+        item = block.evaluate(u, {**start(), **sums, "count": 10 / T}, robot="pendulum")
+        room = {"ramp": most * T, "path": needed, "corrections": 2 * needed}[limits]
+        assert float(item.outputs["dq_sent"][0]) == pytest.approx(sign * room)
 
 
 def test_a_servo_that_lags_behind_many_short_accelerations_is_not_taken_for_a_ramp() -> None:
@@ -175,8 +204,10 @@ def test_a_servo_that_lags_behind_many_short_accelerations_is_not_taken_for_a_ra
     for u in sent:  # |v - r|^2 - |v - u|^2, with the velocity of a servo of first order
         r, v = r + np.clip(u - r, -most * dt, most * dt), v + (u - v) * (1 - np.exp(-dt / lag))
         plain += dt * ((v - r) ** 2 - (v - u) ** 2)
-    assert plain < -1e-5
-    assert states["evidence"] > -1e-7
+    assert plain < -1e-3
+    assert (
+        states["evidence"] > -0.2 * np.ravel(states["missed_u"])[0] / 9
+    )  # what a lag between those of the filters may leave
 
 
 def test_a_model_whose_inverse_is_unstable_keeps_its_weight_by_its_forecasts_alone() -> None:

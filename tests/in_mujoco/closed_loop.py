@@ -44,7 +44,7 @@ def held(graph: Any) -> dict[str, float]:
 
 
 def plant_of(graph: Any, **changes: Any) -> Plant:
-    """The arm, friction and PID servo of a graph, except for changed values."""
+    """The arm, friction, rotors and PID servo of a graph, except for changed values."""
     value, robot = numbers(graph), graph.file.robot
     if "servo" not in changes:
         changes["servo"] = Pid(value["servo.K_D"], value["servo.K_P"], value["servo.K_I"])
@@ -55,6 +55,7 @@ def plant_of(graph: Any, **changes: Any) -> Plant:
         "viscous": value["arm.viscous"],
         "coulomb": value["arm.coulomb"],
         "v_0": float(value["robot.friction_velocity"][0]),
+        "rotor": tuple(value["arm.rotor"]) if "arm.rotor" in value else (),
     }
     return Plant(**(given | changes))
 

@@ -38,6 +38,7 @@ def test_each_theorem_ends_in_its_conclusion_with_nothing_open(graph):
     assert concluded(verdict) == THEOREMS[graph]
     assert verdict.states is not None
     assert verdict.states.open == ()
+    assert verdict.stable
     uses_a_jacobian = "torque" not in graph and "joint" not in graph
     assert any("full row rank" in item.text for item in verdict.assumptions) == uses_a_jacobian
 
@@ -54,6 +55,12 @@ def test_the_servos_true_gains_bound_the_command_without_a_box_on_the_estimates(
     assert verdict.outcome == "proved"
     assert "q_c - q_tie" in reported(verdict, "is bounded")
     assert not any("exponentially stable" in item.text for item in verdict.assumptions)
+
+
+@pytest.mark.parametrize("name", ["torque_indirect_pi", "ur10_slow_sampled", "ur10_posture"])
+def test_a_proof_of_a_part_is_not_called_stable(name: str) -> None:
+    verdict = verify(Graph.read(name, []).diagram)
+    assert (verdict.outcome, verdict.stable) == ("proved", False)
 
 
 def test_indirect_adaptation_does_not_call_the_robot_stable():

@@ -213,3 +213,23 @@ def test_force_replaces_the_folders_of_results_of_before(dmframe: Any, tmp_path:
     assert dmframe(*words, "--set", "pendulum:dynamics.Gamma=7", "--force").status == 0
     assert read_file(tmp_path / "o" / "pendulum" / "graph.yaml").data["blocks"]["dynamics"]["Gamma"] == 7
     assert (tmp_path / "o" / "next" / "notes.txt").read_text() == "mine"
+
+
+def test_each_new_graph_has_its_own_copy_of_a_repaired_robot(dmframe: Any, tmp_path: Path) -> None:
+    limit, moments = '<limit lower="-2" upper="2"/>', 'ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"'
+    links = "".join(
+        f'<link name="l{k}"><inertial><mass value="1"/><inertia {moments}/></inertial></link><joint name="j{k}" '
+        f'type="revolute"><parent link="{f"l{k - 1}" if k else "base"}"/><child link="l{k}"/><origin xyz="0.3 0 0.1"/>'
+        f'<axis xyz="{axis}"/>{limit}</joint>'
+        for k, axis in enumerate(("0 0 1", "0 1 0", "0 1 0", "1 0 0"))
+    )
+    Path("cell.urdf").write_text(f'<robot name="cell"><link name="base"/>{links}</robot>')
+    assert dmframe("new", "cell.urdf").status == 0
+    first = Path("cell_arm.urdf").read_bytes()
+    Path("cell.urdf").write_text(Path("cell.urdf").read_text().replace('mass value="1"', 'mass value="2"'))
+    assert dmframe("new", "cell.urdf", "c2.yaml").status == 0
+    assert Path("cell_arm.urdf").read_bytes() == first != Path("c2_arm.urdf").read_bytes()
+    assert "model: c2_arm.urdf" in Path("c2.yaml").read_text()
+    Path("c2_arm.urdf").unlink()
+    assert dmframe("new", "cell.urdf", "c2.yaml").err == "dmframe: c2.yaml: exists already; choose a new file\n"
+    assert not Path("c2_arm.urdf").exists()

@@ -23,6 +23,7 @@ from dmframe.design.family import HELD_OUT, TRAINING, makers
 from dmframe.design.handover import set_aside
 from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of, tool_motion
 from dmframe.design.motion import TRAINING as TRAINED
+from dmframe.design.page import as_html
 from dmframe.design.progress import STAGES, Progress
 from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
@@ -313,3 +314,16 @@ def test_a_robot_gets_a_controller_that_is_proved_and_rehearsed_or_the_simple_on
     assert {name for name, _ in found.files} >= {"graph.yaml", "controller/", "commands.txt"}
     again = module.design(Request.of("ur3e", payload="0..1"), tmp_path)
     assert again.summary == found.summary
+
+
+def test_the_report_marks_a_proof_of_estimates_alone_and_lists_what_was_assumed(tmp_path: Path) -> None:
+    checks = [Check("proof", "over samples", passed=True, whole=False), Check("rehearsal", "passed", passed=True)]
+    found = Designed("adaptive", "r", tmp_path, "arm", 0.008, 0.0, checks=checks, assumed=("link a: 2 kg",))
+    page = as_html(found)
+    assert "passed, in part" in page
+    assert "tested by runs alone" in page
+    assert "link a: 2 kg" in page
+    assert "assumed: link a: 2 kg" in str(found)
+    assert found.summary["assumed"] == ["link a: 2 kg"]
+    whole = as_html(Designed("adaptive", "r", tmp_path, "arm", 0.008, 0.0, checks=checks[1:]))
+    assert "in part" not in whole

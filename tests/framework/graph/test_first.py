@@ -163,6 +163,41 @@ def test_placeholders_are_stated_in_the_graph_and_in_the_file(tmp_path):
     assert sum("placeholder" in note for note in first.notes) == 4
 
 
+@pytest.mark.parametrize("changed", [False, True])
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        (r'(l2"><inertial>.*?value=")', r"\1-", "link l2: expected a mass >= 0, found -"),
+        ('link="l1"/><child', 'link="l_1"/><child', "joint j2: its parent l_1 is not a link of the file; did you mean"),
+    ],
+)
+def test_a_fault_has_the_line_of_the_users_file(tmp_path, changed, old, new, fault):
+    """Also where the robot file is repaired, here by a limit: the copy has other lines."""
+    path = chain_file(tmp_path, "RRRR", 0)
+    text = re.sub(old, new, path.read_text().replace("<link", "\n\n<link").replace("<joint", "\n<joint"), count=1)
+    path.write_text(text.replace(' velocity="3"', "", int(changed)))
+    where, name = "robot made.urdf", fault.partition(":")[0].replace(" ", ' name="')
+    line = next(number for number, row in enumerate(text.splitlines(), 1) if name in row)
+    with pytest.raises(RobotError, match=re.escape(f"{where}:{line}: {fault}")):
+        first_graph(str(path), tmp_path)
+
+
+def test_moments_of_inertia_that_no_body_has_are_noticed_with_the_link(tmp_path):
+    path = chain_file(tmp_path, "RRRR", 0)
+    assert not any("no body" in note for note in first_graph(str(path), tmp_path).notes)
+    moments = 'ixx="0.0001" iyy="0.0528" izz="0.1528"'
+    path.write_text(re.sub('(l3">.*?)ixx="[^"]*" iyy="[^"]*" izz="[^"]*"', rf"\1{moments}", path.read_text()))
+    (note,) = (note for note in first_graph(str(path), tmp_path).notes if "no body" in note)
+    assert note.startswith("link l3: no body has its moments of inertia, 0.0001, 0.0528 and 0.153 kg m^2")
+
+
+def test_a_joint_that_floats_is_named_as_in_the_file(tmp_path):
+    path = chain_file(tmp_path, "RRRRR", 0)
+    path.write_text(path.read_text().replace('type="revolute"', 'type="floating"', 1))
+    with pytest.raises(RobotError, match=r"joint j1 is of type floating; .*; if it does not move in use"):
+        first_graph(str(path), tmp_path)
+
+
 def test_the_armature_of_an_mjcf_file_becomes_the_rotor_of_the_arm(tmp_path):
     bodies = "".join(
         f'<body name="b{k}" pos="0.2 0 0.1"><inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'

@@ -299,7 +299,7 @@ def test_versions_joints_clocks_and_addresses_are_checked(graph: dm.Graph, tmp_p
 def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarm", None)
     monkeypatch.setitem(sys.modules, "xarm.wrapper", None)
-    with pytest.raises(DriveError, match=r"expected the package xarm-python-sdk, found none; .* 'dmframe\[xarm\]'"):
+    with pytest.raises(DriveError, match=r"expected the package xarm-python-sdk, found none; .*\[xarm\]"):
         xarm.opened("192.0.2.1")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -12,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.block.port import Input, Output, Side, State
 from dmframe.common.errors import StartError, ValueFault
@@ -202,3 +204,25 @@ def test_a_run_to_a_goal_of_the_joints_does_not_import_the_search() -> None:
     code = "import sys, dmframe as dm; dm.load('pendulum').run(1); print('scipy' in sys.modules)"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.strip() == "False"
+
+
+def test_a_start_far_off_the_path_causes_a_notice() -> None:
+    """The path starts at its centre, (45, 60) deg, and moves from there by up to 30 and 40 deg in a second."""
+    graph = dm.load("arm2_joint")
+    run = graph.set({"start": {"q": [0.0, 0.0]}}).run("1 s")
+    gap = np.linalg.norm(np.radians([45, 60]))
+    extent = np.linalg.norm(np.radians([30, 40]) * np.sin([0.9, 1.4]))
+    (notice,) = [text for text in run.notices if "start=null" in text]
+    found = re.fullmatch(r"arm.q starts ([\d.]+) rad from path.q_d, which moves by ([\d.]+) mrad in .*", notice)
+    assert found is not None
+    np.testing.assert_allclose([float(found[1]), float(found[2]) / 1000], [gap, extent], rtol=5e-3)
+    near = {"start": {"q": list(np.radians([45 + 12, 60]))}}  # a third of the extent
+    for other in (graph, graph.set(near)):
+        assert not [text for text in other.run("1 s").notices if "start=null" in text]
+
+
+def test_null_removes_the_start() -> None:
+    graph = Graph.read("ur10_fast", ["start=null"])
+    assert graph.start == {}
+    assert graph == Graph.read("ur10_fast", ["start={}"])
+    assert dm.load("ur10_fast").start != {}

@@ -85,5 +85,5 @@ def test_without_its_packages_it_names_the_extra(monkeypatch: pytest.MonkeyPatch
         return None if name == "uvicorn" else util.find_spec(name)
 
     monkeypatch.setattr(studio, "find_spec", find)
-    with pytest.raises(DmframeError, match=re.escape("uvicorn not installed; pip install dmframe[studio]")):
+    with pytest.raises(DmframeError, match=re.escape("uvicorn not installed; pip install -e ")):
         studio.studio(str(path))

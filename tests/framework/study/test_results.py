@@ -439,7 +439,7 @@ def test_missing_folders_figures_and_packages_are_errors_with_a_remedy(
     with pytest.raises(ValueFault, match="how many runs"):
         Results(place).worst("rms_final", 0)
     monkeypatch.setitem(__import__("sys").modules, "polars", None)
-    with pytest.raises(MissingError, match=re.escape('pip install "dmframe[study]"')):
+    with pytest.raises(MissingError, match=re.escape('[study]"')):
         results_module.polars()
 
 
