@@ -1,4 +1,4 @@
-"""The controller of docs/tutorial/first_block.md: its error decays at the stated rate, and it needs both declarations."""
+"""The first controller of docs/tutorial/first_block.md: its error decays at its rate; it needs both declarations."""
 
 from __future__ import annotations
 
