@@ -45,7 +45,7 @@ FAULTS = {
     ),
     "unknown friction": (
         ("regressor", "arm2", "--friction", "sticky"),
-        "dmframe: friction sticky: unknown kind of friction; choose from coulomb, viscous\n",
+        "dmframe: friction sticky: unknown kind of friction; choose from coulomb, rotor, viscous\n",
     ),
     "hold without an angle": (
         ("regressor", "arm2", "--hold", "joint2"),
