@@ -185,12 +185,10 @@ def model_block(
             return stated_equations(stated_by(name, other, signals, sizes))
 
     steady = Steadiness(name, block, "equations() state", stated_equations(equations), again)
-    if not steady.confirmed:
-        if unchecked is None:
-            steady.check()
-            steady.confirm()
-        else:
-            unchecked.append(steady)
+    if unchecked is None:
+        steady.settle()
+    elif not steady.confirmed:
+        unchecked.append(steady)
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(

@@ -39,10 +39,7 @@ def stated_equations(equations: Equations) -> dict[str, SX]:
 
 def check_steady(name: str, block: AbstractBlock, statement: str, first: Mapping[str, Any], stating: Stating) -> None:
     """Reject a method whose expressions differ at other numbers, or when it is evaluated again: `Steadiness`."""
-    found = Steadiness(name, block, statement, first, stating)
-    if not found.confirmed:
-        found.check()
-        found.confirm()
+    Steadiness(name, block, statement, first, stating).settle()
 
 
 @final
@@ -77,6 +74,12 @@ class Steadiness:
         """Keep the result of a check that raised nothing."""
         if self._key is not None:
             self._held.add(self._key)
+
+    def settle(self) -> None:
+        """Check, unless the same statement was checked before, and keep the result."""
+        if not self.confirmed:
+            self.check()
+            self.confirm()
 
     def check(self) -> None:
         """Evaluate the method of blocks with other numbers.

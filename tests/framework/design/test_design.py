@@ -325,5 +325,8 @@ def test_the_report_marks_a_proof_of_estimates_alone_and_lists_what_was_assumed(
     assert "link a: 2 kg" in page
     assert "assumed: link a: 2 kg" in str(found)
     assert found.summary["assumed"] == ["link a: 2 kg"]
-    whole = as_html(Designed("adaptive", "r", tmp_path, "arm", 0.008, 0.0, checks=checks[1:]))
-    assert "in part" not in whole
+    failed = Check("proof", "not applicable", passed=False, whole=False)
+    for others in (checks[1:], [failed]):  # nothing, and a proof that failed, cover no part
+        other = as_html(Designed("adaptive", "r", tmp_path, "arm", 0.008, 0.0, checks=others))
+        assert "in part" not in other
+        assert "tested by runs alone" not in other
