@@ -111,28 +111,28 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
     likely = named("likely", unsure + FOLLOWED * p.doubt)
     follows = named("follows_new", possible * ca.fmax(x.follows, evidence - likely > 0))
     more = follows * 2 * p.u_max
-    wave = _tried(u, x, p, known * (1 - follows) * (evidence > -GIVEN_UP * p.doubt))
     begun = {"evidence": evidence, "follows": follows, **sums}
     held = x.queue[:, -1] - (x.wave if "trial" in p else 0)
     low, high = ca.fmin(-room, needed) - more, ca.fmax(room, needed) + more
     change = named("change", ca.fmin(ca.fmax(wished - held, low), high))
     if "trial" in p:
-        change, begun["wave"] = named("change_tried", change + wave - x.wave), wave
+        undecided = known * (1 - follows) * (evidence > -GIVEN_UP * p.doubt)
+        begun["wave"] = _tried(u, x, p, undecided, held + change)
+        change = named("change_tried", change + begun["wave"] - x.wave)
     sent = x.queue[:, -1] + change
     ramped = named("ramped_new", x.ramped + clip(sent - x.ramped, room))
     kept = {"path_before": u.dq_path, "ramped": ramped, **filters}
     return Limited(change, kept, {"gaps": ca.horzcat(x.gaps[:, 1:], ramped - sent), **begun})
 
 
-def _tried(u: Signals, x: Signals, p: Signals, undecided: SX) -> SX | int:
-    """The square wave, whose sign changes when a ramp would have caught up."""
-    if "trial" not in p:
-        return 0
+def _tried(u: Signals, x: Signals, p: Signals, undecided: SX, steady: SX) -> SX:
+    """The square wave, whose sign changes when a ramp would have caught up; zero where the command could exceed u_max."""
     room = p.a_max * u.T
+    size = room / 2 + p.trial
     tries = undecided * (x.count > 1) * (u.T * x.count < TRIED * p.evidence_time)
     caught = ca.fabs(x.gaps[:, -1]) < CAUGHT * room
-    wave = ca.if_else(caught, ca.if_else(x.wave > 0, -1, 1) * (room / 2 + p.trial), x.wave)
-    return named("wave_new", tries * wave)
+    wave = ca.if_else(caught, ca.if_else(x.wave > 0, -size, size), x.wave)
+    return named("wave_new", tries * (ca.fabs(steady) + size <= p.u_max) * wave)
 
 
 def _compared(
