@@ -126,7 +126,7 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
 
 
 def _tried(u: Signals, x: Signals, p: Signals, undecided: SX, steady: SX) -> SX:
-    """The square wave, whose sign changes when a ramp would have caught up; zero where the command could exceed u_max."""
+    """The square wave; its sign changes when a ramp would have caught up. It is zero where the sum may exceed u_max."""
     room = p.a_max * u.T
     size = room / 2 + p.trial
     tries = undecided * (x.count > 1) * (u.T * x.count < TRIED * p.evidence_time)
