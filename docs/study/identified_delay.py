@@ -1,9 +1,10 @@
-"""Whether the identified delay is the best one: ``python docs/study/identified_delay.py [CLOCK ...]``, in seconds.
+"""Whether the identified delay is the best one: ``python docs/study/identified_delay.py [CLOCK ...] > FILE.csv``, in s.
 
 The entrant of the packaged race, with the values of its graphs, runs in ideal cells of this race with every plant. Its
 probe identifies a delay, and the other blocks use this one, or one that is a sample shorter or longer. The trip of the
-probe, which would replace a delay that is too short, is off. A line for each cell: the identified delay, the RMS error
-over the last eighth with each of the three, and the ratio of the error with the identified one to the least.
+probe, which would replace a delay that is too short, is off. A load is carried from the beginning: after its change the
+error is that of a model that adapts, with any delay. A line for each cell: the identified delay in samples, and the RMS
+error over the last eighth with each of the three, in mm; inf for a run that diverged, and nothing for a delay below 0.
 """
 
 from __future__ import annotations
@@ -23,8 +24,6 @@ from dmframe.race.read import load_race
 
 PATHS: Final = ("stops", "wander", "eight")
 SHIFTS: Final = (0, -1, 1)
-MARGIN: Final = 1.05
-"""Ratio up to which errors count as equal."""
 OWN: Final = "shifted_delay.py:ShiftedDelay"
 
 
@@ -37,9 +36,10 @@ class Row:
     errors: dict[int, float]
 
     @property
-    def ratio(self) -> float:
-        """Error with the identified delay, relative to the least."""
-        return self.errors[0] / min(self.errors.values())
+    def line(self) -> str:
+        """The row of the table."""
+        figures = [f"{self.errors[shift]:.3g}" if shift in self.errors else "" for shift in sorted(SHIFTS)]
+        return ",".join([f"{self.cell.clock:g}", self.cell.path, self.cell.plant, str(self.delay), *figures])
 
 
 def shifted(race: Race, cell: Cell, shift: int, seed: int, like: Graph | None) -> Graph:
@@ -49,7 +49,7 @@ def shifted(race: Race, cell: Cell, shift: int, seed: int, like: Graph | None) -
     here = replace(document, name=str(Path(__file__).with_name("shifted.yaml")))  # its blocks are found in this folder
     wires = {f"wires.{name}.delay_hat": "shifted.delay_hat" for name in ("task", "inverse", "mix")}
     own = {"blocks.shifted": {"type": OWN, "shift": shift}, "wires.shifted.delay_probed": "probe.delay_hat"}
-    return Graph.of(here, like).set({"probe.tripping": False, **own, **wires})
+    return Graph.of(here, like).set({"probe.tripping": False, "arm.payload_at": [0], **own, **wires})
 
 
 def rows(race: Race, cells: Sequence[Cell], seed: int = 1) -> Iterator[Row]:
@@ -69,14 +69,17 @@ def rows(race: Race, cells: Sequence[Cell], seed: int = 1) -> Iterator[Row]:
         yield Row(cell, delay, {k: error for k, error in zip(SHIFTS, errors, strict=True) if delay + k >= 0})
 
 
-if __name__ == "__main__":
+def main(clocks: Sequence[float]) -> None:
+    """Print the table."""
     race = load_race("packaged")
-    clocks = [float(text) for text in sys.argv[1:]] or race.file.clocks
-    for clock in clocks:
+    sys.stdout.write("clock_s,path,plant,delay,shorter_mm,identified_mm,longer_mm\n")
+    for clock in clocks or race.file.clocks:
         for family in ("pid", "p_pi"):
             plants = [name for name in race.file.plants if name.startswith(family)]
             for row in rows(race, [Cell(clock, path, plant, "ideal") for plant in plants for path in PATHS]):
-                figures = ", ".join(f"{row.delay + shift}: {error:.5f}" for shift, error in sorted(row.errors.items()))
-                best = "" if row.ratio <= MARGIN else "  NOT THE BEST"
-                sys.stdout.write(f"{row.cell.name}: identified {row.delay}; {figures} mm; {row.ratio:.2f}{best}\n")
+                sys.stdout.write(f"{row.line}\n")
                 sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main([float(text) for text in sys.argv[1:]])
