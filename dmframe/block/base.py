@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from fractions import Fraction
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
@@ -35,9 +35,24 @@ TRUE_VALUES: Final = "true values that `truth` declares and this diagram has"
 """Kind of the signals that the analysis alone may read."""
 
 
+def own_copy(value: Any) -> Any:
+    """A copy of the expressions in a value, for code that may assign to their elements."""
+    if isinstance(value, ca.SX | ca.MX):
+        return type(value)(value)
+    if isinstance(value, tuple | list):
+        return type(value)(map(own_copy, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {item.name: getattr(value, item.name) for item in fields(value)}
+        return replace(value, **{name: own_copy(part) for name, part in parts.items() if isinstance(part, ca.SX)})
+    return value
+
+
 @final
 class Signals:
-    """Named expressions, read as attributes: ``u.dq``, ``x.w``, ``p.Lambda``."""
+    """Named expressions, read as attributes: ``u.dq``, ``x.w``, ``p.Lambda``.
+
+    Each read returns a copy: a block that assigns to elements, ``q = u.q; q[0] = 0``, does not change the signal.
+    """
 
     def __init__(
         self, owner: str, kind: str, values: Mapping[str, SX], options: Mapping[str, str] = MappingProxyType({})
@@ -48,7 +63,7 @@ class Signals:
         if name.startswith("__"):
             raise AttributeError(name)
         try:
-            return self._values[name]
+            return own_copy(self._values[name])
         except KeyError:
             if name in self._options:
                 raise BlockError(

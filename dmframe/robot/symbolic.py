@@ -206,7 +206,7 @@ class SymbolicRobot:
         ----------
         [SlotineLi1987]_; [NiemeyerSlotine1991]_ for the recursion.
         """
-        inertia, share, plain = self.inertia if inertia is None else inertia, ca.SX(gravity_share), dq_ref is dq
+        inertia, share, plain = self.inertia if inertia is None else inertia, ca.SX(gravity_share), ca.is_equal(dq_ref, dq)
         given = (q, dq, ddq_ref, inertia, share, *(() if plain else (dq_ref,)))
         constants = [constant.symbol for constant in self.constants]
         return repeated(partial(self._torque, plain), self._placed, given, constants)
