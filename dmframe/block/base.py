@@ -17,7 +17,7 @@ import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from dmframe.block.certificate import SX, Certificate, Condition, Square
-from dmframe.block.faults import parameter_faults, strictly_typed
+from dmframe.block.faults import fault_context, parameter_faults, strictly_typed
 from dmframe.block.fields import check_fields
 from dmframe.block.names import type_name
 from dmframe.block.numberless import unreadable, without_numbers
@@ -183,10 +183,12 @@ class AbstractBlock(BaseModel):
         raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
 
     def __init__(self, /, **values: Any) -> None:
-        try:
-            super().__init__(**values)
-        except ValidationError as error:
-            raise_all(parameter_faults(type(self), error, type_name(type(self))))
+        name = type_name(type(self))
+        with fault_context(name, "its validators"):
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                raise_all(parameter_faults(type(self), error, name))
 
     if not TYPE_CHECKING:  # for a type checker, a block has only its declared attributes
 
@@ -218,6 +220,11 @@ class AbstractBlock(BaseModel):
         """True if an optional input has to be driven with the options of this block."""
         del port
         return False
+
+    def requires(self, port: Input, owner: str) -> bool:
+        """True if an input has to be driven; `owner` is the block's name. Blocks do not override it."""
+        with fault_context(owner, "needs()"):
+            return not port.optional or bool(without_numbers(self, owner).needs(port.name))
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """Names and units, for results, of the elements of each dimension that this block defines."""

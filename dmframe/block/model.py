@@ -196,12 +196,26 @@ def model_block(
                 f"{name}: its output {key} differs from its state {key}, and both have the same name; rename one"
             )
     used = symbols_in([*equations.expressions, *equations.second.values()])
+    robots = () if mine is None else (constant.symbol for constant in mine.constants)
+    own = symbols_in([*inputs.values(), *states.values(), *parameters.values(), *starts.values(), *robots])
+    if used - own:
+        raise _foreign(name, equations, own)
     for key in states.keys() - equations.moves.keys():
         if used & symbols_in([states.pop(key)]):
             raise BlockError(f"{name}: equations read the state {key}, but do not state its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & symbols_in([leaf])}
     values = with_starts(values, states)
     return BlockModel(name, block, inputs, states, parameters, values, mine, equations, starts, tuple(inverted))
+
+
+def _foreign(name: str, equations: Equations, own: set[int]) -> BlockError:
+    """The fault of equations with a symbol of another block, or of none."""
+    stated = stated_equations(equations)
+    what, symbol = next((w, s) for w, x in stated.items() for s in ca.symvar(x) if s.element_hash() not in own)
+    return BlockError(
+        f"{name}: equations() state the {what} with {symbol}, which is none of its inputs, states and parameters; "
+        "expected an expression of its arguments alone"
+    )
 
 
 @final
