@@ -95,7 +95,7 @@ class Verdict:
         """True if it is proved in continuous time, without a residual, that the states of the closed loop are bounded.
 
         Combinations of angles that no rate depends on, such as whole turns of a joint, are left out. False for a proof
-        of an estimator over samples, and for one that leaves states open, or others than angles drifting.
+        of an estimator over samples, and for one that leaves states open, or an unbounded combination of others.
         """
         claim = self.flow_claim
         if self.outcome != "proved" or claim is None or self.bounds or self.states is None or self.states.open:

@@ -1,4 +1,4 @@
-"""Blocks that assign to what they are given, read other blocks' symbols, or stop the program: none of them is proved."""
+"""Blocks that assign to what they are given, read other blocks' symbols, or stop the program: none is proved."""
 
 from __future__ import annotations
 
@@ -102,12 +102,12 @@ class Owner(AbstractBlock):
     k: Scalar = Positive(default=2.0)
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
-        STOLEN.update(state=x.h, parameter=p.k, nobody=STOLEN.get("nobody", ca.SX.sym("toy.y")))
+        STOLEN.update(state=x.h, parameter=p.k, free=STOLEN.get("free", ca.SX.sym("toy.y")))
         return Equations(rates={"h": -p.k * x.h})
 
 
 def test_equations_contain_a_block_s_own_symbols_only() -> None:
-    for what, name in (("state", "owner.h"), ("parameter", "owner.k"), ("nobody", "toy.y")):
+    for what, name in (("state", "owner.h"), ("parameter", "owner.k"), ("free", "toy.y")):
 
         @final
         class Thief(AbstractBlock):
