@@ -77,8 +77,8 @@ def remark_of(block: Margined) -> str:
     gain = 2 * sin(pi / (4 * samples + 2)) / block.gain_margin
     return (
         f"Lambda is derived at each sampling period T from gain_margin {block.gain_margin:g} and delay_margin "
-        f"{block.delay_margin}:{also} T Lambda = {gain:.3g}. A longer period has a smaller Lambda, so that the loop may stay "
-        "stable at all of them; Lambda=... instead of gain_margin analyses one gain"
+        f"{block.delay_margin}:{also} T Lambda = {gain:.3g}. A longer period has a smaller Lambda, so that the loop "
+        "may stay stable at all of them; Lambda=... instead of gain_margin analyses one gain"
     )
 
 

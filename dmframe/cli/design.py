@@ -63,7 +63,10 @@ def design(
     count = None if workers is None else whole("--workers", workers)
     held = tuple(angles("--hold", hold).items())
     request = Request.of(robot, task=task, clock=clock, payload=payload, log=log, tool=tool, hold=held, path=path)
-    tell(f"about {USUAL // 60} to {MOST // 60} min, less in a folder with a part of it; Ctrl-C keeps what is done", aside=True)
+    tell(
+        f"about {USUAL // 60} to {MOST // 60} min, less in a folder with a part of it; Ctrl-C keeps what is done",
+        aside=True,
+    )
     begin = time.monotonic()
     try:
         with progress_line(Path(robot).name) as say:

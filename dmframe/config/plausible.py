@@ -45,12 +45,12 @@ def _of_blocks(graph: BaseGraph, clock: float | None) -> Iterator[str]:
             label = f"{name}.{key}"
             if spec.unit == "s" and largest > LONGEST:
                 meant = f"; for {largest:g} ms write `{largest:g} ms`"
-                yield f"{label} is {plain(largest, 's')}, expected at most {plain(LONGEST[''], 's')}{meant}"
+                yield f"{label} is {plain(largest, 's')}, expected at most {plain(LONGEST, 's')}{meant}"
             rate = spec.unit in ("1/s", "rad/s") and block.side is not Side.PLANT
             if rate and clock is not None and largest * clock > UNSTABLE:
                 yield (
-                    f"{label} is {plain(largest, spec.unit)}, {largest * clock:.3g} in a sample of {plain(clock, 's')}; "
-                    f"expected at most {plain(UNSTABLE / clock, spec.unit)}"
+                    f"{label} is {plain(largest, spec.unit)}, {largest * clock:.3g} in a sample of {plain(clock, 's')}"
+                    f"; expected at most {plain(UNSTABLE / clock, spec.unit)}"
                 )
 
 

@@ -103,8 +103,7 @@ def commands(found: Designed) -> str:
         f"dmframe race {folder}/{RACE} --out {folder}/{RESULTS}",
         f"dmframe verify {graph}",
         f"dmframe analyse {graph}",
-        f"dmframe rehearse {graph} --until {REHEARSED:g} --payload '{found.payload:.6g} kg' "
-        f"--limits {folder}/{LIMITS}",
+        f"dmframe rehearse {graph} --until {REHEARSED:g} --payload '{found.payload:.6g} kg' --limits {folder}/{LIMITS}",
         f"dmframe run {graph}",
     ]
     return "\n".join(lines) + "\n"

@@ -117,8 +117,8 @@ class Selection:
     def transfer(self) -> str:
         """What of the answer holds for another robot than that of the graph."""
         return (
-            "the kind of law follows from your answers, and its proof from its conditions, which `dmframe verify` decides for "
-            "your robot; gains, path and errors do not carry over"
+            "the kind of law follows from your answers, and its proof from its conditions, which `dmframe verify` "
+            "decides for your robot; gains, path and errors do not carry over"
         )
 
     @property

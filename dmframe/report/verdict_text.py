@@ -136,7 +136,7 @@ def useless_of(found: Sequence[ErrorBound]) -> str:
         for bound in {bound.signal.unicode: bound for bound in useless}.values()
         if bound.moved
     ]
-    why = f"a robot that stands still at the start of its path has {' and '.join(still)}" if still else ""
+    why = f"a robot at rest at the start of its path has {' and '.join(still)}" if still else ""
     return f"no useful bound: {why or 'it is as large as the robot'}" if useless else ""
 
 

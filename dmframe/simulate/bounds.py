@@ -1,4 +1,7 @@
-"""Divergence of a run: non-finite states, or states beyond physical bounds. `dmframe.simulate.growth` has growing errors."""
+"""Divergence of a run: non-finite states, or states beyond physical bounds.
+
+Errors that grow while all states stay within their bounds: `dmframe.simulate.growth`.
+"""
 
 from __future__ import annotations
 
@@ -98,4 +101,6 @@ def _how(diagram: Diagram, variable: Variable, element: int, bound: float) -> st
     if not is_position(diagram, variable):
         return f"is beyond {plain(bound, unit)}, {TIMES:g} times the limit of {joint.name},"
     limits = f"{plain(joint.lower, unit)} to {plain(joint.upper, unit)}"
-    return f"is beyond {plain(bound, unit)}, farther outside of the limits of {joint.name} ({limits}) than they are apart,"
+    return (
+        f"is beyond {plain(bound, unit)}, farther outside of the limits of {joint.name} ({limits}) than they are apart,"
+    )

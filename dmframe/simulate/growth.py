@@ -30,8 +30,8 @@ def growth(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndarra
         \mathrm{RMS}_8 = \max_k \mathrm{RMS}_k, \quad \mathrm{RMS}_8 > 1.2\, \mathrm{RMS}_4, \quad
         \mathrm{RMS}_8 > \max\big(|e(0)|,\; \max_t |s_d(t) - s_d(0)|,\; L\big)
 
-    A robot that stands still from the start would have a smaller error. L is `LEAST` times the reach for a tool, and times
-    the smallest range of a joint, a turn without limits, for joints.
+    A robot that stands still from the start would have a smaller error. L is `LEAST` times the reach for a tool, and
+    times the smallest range of a joint, a turn without limits, for joints.
 
     Parameters
     ----------
@@ -41,7 +41,12 @@ def growth(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndarra
         (N,) [s].
     """
     goal, robot = diagram.loop.goal, diagram.robot
-    if goal is None or not isinstance(robot, SerialChain) or len(times) < PARTS or not {goal.desired, goal.actual} <= columns.keys():
+    if (
+        goal is None
+        or not isinstance(robot, SerialChain)
+        or len(times) < PARTS
+        or not {goal.desired, goal.actual} <= columns.keys()
+    ):
         return None
     unit = next(signal.unit for signal in diagram.loop.outputs if signal.label == goal.actual)
     desired, actual = columns[goal.desired], columns[goal.actual]
@@ -54,8 +59,8 @@ def growth(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndarra
     element = int(np.argmax(np.abs(actual[-1] - desired[-1])))
     block, _, state = goal.actual.partition(".")
     how = (
-        f"is far from {goal.desired}: the error of all elements grows to {plain(rms[-1], unit)} RMS in the last eighth, "
-        f"more than the {plain(scale, unit)} of a robot that stands still,"
+        f"is far from {goal.desired}: the error of all elements grows to {plain(rms[-1], unit)} RMS in the last eighth,"
+        f" more than the {plain(scale, unit)} of a robot at rest,"
     )
     return Divergence(block, state, element, float(times[-1]), how)
 

@@ -29,7 +29,15 @@ from dmframe.simulate.recording import Recording
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, omitted_terms, speed_of, stiffness
-from dmframe.simulate.warnings import channel_models, exceptions, off_path, out_of_range, too_fast, unread, warning_signals
+from dmframe.simulate.warnings import (
+    channel_models,
+    exceptions,
+    off_path,
+    out_of_range,
+    too_fast,
+    unread,
+    warning_signals,
+)
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""

@@ -122,9 +122,9 @@ def out_of_range(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.
             joint = diagram.robot.joints[k]
             unit = variable.unit if joint.kind == "revolute" else sliding(variable.unit)
             found.append(
-                f"{variable.label} leaves the robot's joint limits, first at t = {times[out[0]]:.6g} s: {joint.name} is at "
-                f"{plain(float(q[row, k]), unit)} at t = {times[row]:.6g} s, its limits are {plain(joint.lower, unit)} and "
-                f"{plain(joint.upper, unit)}; the simulated joint has no stops"
+                f"{variable.label} leaves the robot's joint limits, first at t = {times[out[0]]:.6g} s: {joint.name} "
+                f"is at {plain(float(q[row, k]), unit)} at t = {times[row]:.6g} s, its limits are "
+                f"{plain(joint.lower, unit)} and {plain(joint.upper, unit)}; the simulated joint has no stops"
             )
     return found
 
