@@ -46,8 +46,8 @@ _REFUSED: Final = frozenset(
             "os.forkpty",
             "pty.spawn",
         ),
-        *("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostbyname", "socket.gethostname", "urllib.Request"),
-        *("sqlite3.connect", "os.startfile", "winreg.OpenKey"),
+        *("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostbyname", "socket.gethostname"),
+        *("urllib.Request", "sqlite3.connect", "os.startfile", "winreg.OpenKey"),
     )
 )
 _COPIES: Final = copies.__file__
