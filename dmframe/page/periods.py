@@ -66,7 +66,9 @@ def stable_periods(
         tell("searching the largest stable sampling period")
         return Periods(linearised_period(at_rest).stable, linearised_period(moving).stable)
     except DmframeError as error:
-        return Periods(reason=NO_POINT if error.text.startswith(f"{SET_POINT}: expected an equilibrium") else error.text)
+        return Periods(
+            reason=NO_POINT if error.text.startswith(f"{SET_POINT}: expected an equilibrium") else error.text
+        )
 
 
 def _shown(period: float | None) -> float | str | None:
