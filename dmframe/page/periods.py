@@ -14,7 +14,6 @@ from dmframe.certify import Verdict
 from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
 
-
 SET_POINT: Final = "set-point"
 """Place that faults of the search for an equilibrium name."""
 NO_POINT: Final = "the loop has no equilibrium for which its stability could be computed"
