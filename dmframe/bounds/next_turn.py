@@ -75,7 +75,8 @@ class Recorded:
     def errors(self, estimates: np.ndarray) -> np.ndarray:
         """(N, joints) prediction errors with these estimates."""
         products = self.rows * estimates
-        return self.goals - np.stack([products[:, part].sum(axis=1) for part in self.joints], axis=1)
+        predicted = np.stack([products[:, part].sum(axis=1) for part in self.joints], axis=1)
+        return np.asarray(self.goals - predicted)
 
     @property
     def observed(self) -> np.ndarray:

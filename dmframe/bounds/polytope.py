@@ -4,9 +4,10 @@ For the polytope :math:`\{z : A z \le b,\ |z_i| \le r_i\}` and any :math:`\lambd
 
 .. math:: p^\top z \le \lambda^\top b + |p - A^\top \lambda|^\top r                                      \tag{1}
 
-Linear programming finds the :math:`\lambda` with the least right-hand side; the returned value is (1) evaluated at it, so that its validity does not depend on the solver. Consecutive functions of a path differ little:
-the search moves along edges of the polytope from the vertex of the previous function, usually by a few pivots. Where
-it does not end, HiGHS solves the program.
+Linear programming finds the :math:`\lambda` with the least right-hand side; the returned value is (1) evaluated at it,
+so that its validity does not depend on the solver. Consecutive functions of a path differ little: the search moves
+along edges of the polytope from the vertex of the previous function, usually by a few pivots. Where it does not end,
+HiGHS solves the program.
 """
 
 from __future__ import annotations

@@ -124,7 +124,8 @@ class Prediction:
             left, slope, _ = _arrays(self._left, s, q, theta, t)
             if not slope.any():
                 raise NoBoundError(
-                    f"its rows do not vary with the positions at t = {t:.6g} s: an encoder rounds them, or a command is clipped"
+                    f"its rows do not vary with the positions at t = {t:.6g} s: an encoder rounds them, or a command "
+                    "is clipped"
                 )
             try:
                 step = np.linalg.solve(slope, left.ravel())
@@ -136,8 +137,8 @@ class Prediction:
             if not np.all(np.isfinite(q)):
                 break
         raise NoBoundError(
-            f"the estimate at the end of the run does not predict the motion at t = {t:.6g} s: a command is clipped, or "
-            "the law has not yet learned a model of its servo"
+            f"the estimate at the end of the run does not predict the motion at t = {t:.6g} s: a command is clipped, "
+            "or the law has not yet learned a model of its servo"
         )
 
     def _plain(self, claim: Claim, expression: SX) -> SX:
@@ -148,7 +149,7 @@ class Prediction:
 
 
 def _measured(claim: Claim, targets: Sequence[SX], count: int) -> str:
-    """The label of the positions: the one state of the plant that moves between samples, of which rows are functions."""
+    """The label of the positions: the one state of the plant that moves between samples and is in the rows."""
     used = symbols_in(targets)
     found = [v for v in claim.loop.flowing if used & v.identities]
     if len(found) != 1 or found[0].symbol.numel() != count:

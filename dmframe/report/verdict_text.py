@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Iterable, Iterator
 from textwrap import fill
@@ -14,7 +13,7 @@ from dmframe.certify.error_bound import ErrorBound, Share
 from dmframe.common.columns import columns
 from dmframe.common.names import unicode_name
 from dmframe.common.text import DV, KAPPA, Text, joined, text_of
-from dmframe.common.units import plain
+from dmframe.common.units import plain, rounded_up
 from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
 
@@ -125,12 +124,6 @@ def size_of(bound: ErrorBound) -> str:
     """The bound with its unit."""
     small = bound.value < LARGE
     return f"≤ {plain(rounded_up(bound.value), bound.unit)}" if small else f"no bound below {LARGE:g} {bound.unit}"
-
-
-def rounded_up(value: float, digits: int = 3) -> float:
-    """The next number with that many digits."""
-    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1) if value > 0 else 1.0
-    return math.ceil(value / step) * step
 
 
 def contribution_of(bound: ErrorBound) -> str:

@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
+import casadi as ca
 import numpy as np
 
-from dmframe.block.certificate import SX, Steps
+from dmframe.block.certificate import SX
 from dmframe.block.model import SYMBOLIC
 from dmframe.bounds.disturbed import NoBoundError
 from dmframe.bounds.next_turn import Recorded, TurnBound, turn_bound
 from dmframe.bounds.predicted import Prediction
 from dmframe.certify.claim import Claim
 from dmframe.certify.error_bound import ErrorBound, Share
+from dmframe.common.errors import ValueFault
 from dmframe.common.text import Text
-from dmframe.common.units import plain
+from dmframe.common.units import plain, rounded_up
 from dmframe.diagram.closed_loop import stack
 from dmframe.results.at_instants import AtInstants
 from dmframe.results.metrics import counted_rows, tracking_error
 from dmframe.results.path_figure import last_lap
 from dmframe.simulate import Recording
+from dmframe.simulate.block_starts import once
 from dmframe.simulate.instants import Instants
 
-MOST: Final = 20_000
-"""Largest number of samples times joints of a turn times elements of an error; more take minutes."""
+MOST: Final = 3_000
+"""Largest number of linear programs, two for each sample of a turn, joint, and element of the error: 0.7 ms each."""
+LARGEST: Final = 60_000
+"""Largest number of operations in the map of a sample; differentiating more takes minutes."""
 REGULAR: Final = 1e-6
 """Deviation of the times of a drive from whole periods, in periods, up to which they count as regular."""
 PREDICTED, PARAMETERS, UNEXPLAINED = (
@@ -74,19 +80,22 @@ class NextTurn:
         }
 
     def __str__(self) -> str:
-        eta, least = (", ".join(f"{1e6 * x:.3g}" for x in each) for each in (self.found.eta, self.found.least))
-        whence = "the largest prediction errors of the last turn" if self.found.source == "observed" else "as given"
-        bound = self.bound
-        return (
-            f"next turn, from data: |{bound.signal.unicode}| ≤ {plain(_up(bound.value), bound.unit)} at the samples of the "
-            f"next {plain(bound.over_s, 's')}, if the estimate stays as it is at the end of the run. It assumes constant "
-            f"parameters that leave at most {eta} 1e-6 {self.unit} of any sample unexplained, joint by joint ({whence}; "
-            f"the last turn shows at least {least}), and is of first order in prediction errors. Largest contribution: "
-            f"{bound.dominated_by.of.unicode}"
+        bound, found = self.bound, self.found
+        eta, least = (", ".join(plain(x, self.unit) for x in each) for each in (found.eta, found.least))
+        whence = {"observed": "the largest prediction errors of the last turn", "given": "as given"}[found.source]
+        size, over = plain(rounded_up(bound.value), bound.unit), plain(bound.over_s, "s")
+        return "\n".join(
+            [
+                f"next turn, from data: |{bound.signal.unicode}| ≤ {size} at the samples of the next {over}, if the "
+                "estimate remains that of the end",
+                f"  assumes constant parameters that leave at most ({eta}) of a sample unexplained, {whence}; "
+                f"the last turn needs ({least})",
+                "  of first order in prediction errors; largest contribution: " + bound.dominated_by.of.unicode,
+            ]
         )
 
 
-def next_turn(run: Recording, claim: Claim, eta: Any = None) -> NextTurn:
+def next_turn(run: Recording, claim: Claim, eta: float | Sequence[float] | None = None) -> NextTurn:
     """The bound on the next turn of a run.
 
     Parameters
@@ -124,18 +133,25 @@ class _Samples:
         if not 0 < self._first < len(desired) - 1:
             raise NoBoundError("the run has no full turn of a repeated path")
 
-    def bound(self, eta: Any) -> NextTurn:
+    def bound(self, eta: float | Sequence[float] | None) -> NextTurn:
+        """The bound, with eta for all joints or for each."""
         run, claim, item = self._run, self._claim, self._item
         assert run.clock is not None
         estimate, count = f"{self._block}.{item.estimate}", len(run.time) - 1 - self._first
         goal, rows = self._goal()
-        if count * len(item.parts) * rows * count > MOST * 10:
-            raise NoBoundError(f"a turn of {count} samples of {len(item.parts)} joints takes too long")
-        prediction = Prediction(claim, item, estimate, goal, run.clock)
+        programs = 2 * count * len(item.parts) * rows
+        if programs > MOST:
+            text = f"a turn of {count} samples and {len(item.parts)} joints needs {programs} linear programs"
+            raise NoBoundError(f"{text}; at most {MOST} are solved")
+        size = sum(map(ca.n_nodes, claim.sample.next.values()))
+        if size > LARGEST:
+            raise NoBoundError(f"the map of a sample has {size} operations; at most {LARGEST} are differentiated")
+        key = "prediction", estimate, self._error.actual, run.clock, claim.loop.p_values.tobytes()
+        prediction = once(claim.loop.derived, key, lambda: Prediction(claim, item, estimate, goal, run.clock or 0.0))
         recorded, s = self._recorded(prediction, estimate)
         q = run.states[prediction.measured]
         turn = prediction.turn(s, q[-1], q[-2], recorded.estimate, float(run.time[-1]), count)
-        found = turn_bound(recorded, turn, eta)
+        found = turn_bound(recorded, turn, None if eta is None else _limits(eta, len(item.parts)))
         shares = {PREDICTED: found.predicted, PARAMETERS: found.parameters, UNEXPLAINED: found.unexplained}
         largest = max(shares, key=lambda name: shares[name])
         share = Share(Text(largest), of_start=False)
@@ -146,7 +162,9 @@ class _Samples:
     def _goal(self) -> tuple[SX, int]:
         """The counted elements of the error as an expression."""
         loop = self._claim.loop
-        pair = next(pair for pair in loop.goals if (pair.actual, pair.desired) == (self._error.actual, self._error.desired))
+        pair = next(
+            pair for pair in loop.goals if (pair.actual, pair.desired) == (self._error.actual, self._error.desired)
+        )
         signal = next(signal for signal in loop.outputs if signal.label == pair.actual)
         rows, *_ = counted_rows(self._claim.diagram, signal.shape, signal.unit)
         error = (pair.found - pair.wanted)[rows]
@@ -159,13 +177,17 @@ class _Samples:
         states = stack(variables[label] for label in prediction.labels)
         h, y = item.rows[0]
         if not item.box:
-            raise NoBoundError("an estimate without a box admits any parameters in directions that a turn does not show")
+            raise NoBoundError(
+                "an estimate without a box admits any parameters in directions that a turn does not show"
+            )
         columns = [states, h, y, *item.box]
         values = AtInstants(claim, run).of(stack(columns)).T
         s, rows, goals, lower, upper = np.split(values, np.cumsum([column.numel() for column in columns])[:-1], axis=1)
         last = slice(self._first, None)
         estimates = run.states[estimate]
-        recorded = Recorded(rows[last], goals[last], estimates[last], estimates[-1], tuple(item.parts), lower[-1], upper[-1])
+        recorded = Recorded(
+            rows[last], goals[last], estimates[last], estimates[-1], tuple(item.parts), lower[-1], upper[-1]
+        )
         if not all(np.all(np.isfinite(each)) for each in (recorded.rows, recorded.goals, recorded.estimates)):
             raise NoBoundError("the run is not finite")
         return recorded, s[-1]
@@ -175,6 +197,14 @@ class _Samples:
         commands = {leaf.name for leaf in self._claim.loop.commanded}
         units = {signal.unit for signal in self._claim.loop.outputs if signal.label in commands}
         return units.pop() if len(units) == 1 else ""
+
+
+def _limits(eta: float | Sequence[float], joints: int) -> list[float]:
+    """The limits by joint. Raises `ValueFault` for another number of them, or one that is not above zero."""
+    found = [eta] * joints if isinstance(eta, int | float) else list(eta)
+    if len(found) != joints or not all(math.isfinite(x) and x > 0 for x in found):
+        raise ValueFault(f"eta: expected one number above zero, or one for each of {joints} joints, found {eta}")
+    return found
 
 
 def _sampled(run: Recording) -> Recording:
@@ -191,9 +221,3 @@ def _sampled(run: Recording) -> Recording:
         raise NoBoundError("one of several samples was kept, or the initial states were not")
     measured = {v.label: run.outputs[v.label] for v in run.diagram.loop.flowing if v.label in run.outputs}
     return replace(run, time=times, instants=instants, states={**measured, **run.states})
-
-
-def _up(value: float, digits: int = 3) -> float:
-    """The next number with that many digits."""
-    step = 10.0 ** (np.floor(np.log10(value)) - digits + 1) if value > 0 else 1.0
-    return float(np.ceil(value / step) * step)
