@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from dmframe.block.model import SYMBOLIC
 from dmframe.common import notebook
 from dmframe.common.columns import columns
 from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
@@ -29,6 +30,7 @@ from dmframe.simulate import Divergence, Recording
 if TYPE_CHECKING:
     import xarray
 
+    from dmframe.certify.claim import Claim
     from dmframe.results.figures import Figures
     from dmframe.results.next_turn import NextTurn
 
@@ -144,13 +146,28 @@ class Run(AboutGraph):
         """
         from dmframe.results.next_turn import next_turn
 
-        return next_turn(self.recording, self.storage.claim, eta)
+        return next_turn(self.recording, self._claim, eta)
+
+    @cached_property
+    def _claim(self) -> Claim:
+        """The claim of the diagram that ran; a drive, whose V is not evaluated, has one too."""
+        if not isinstance(self._storage, DmframeError):
+            return self._storage.claim
+        if not self.recording.diagram.loop.discrete_time:
+            raise self._storage
+        from dmframe.certify.claim import claim_of
+
+        with SYMBOLIC:
+            return claim_of(self.recording.diagram, held=False, named=False)
 
     @cached_property
     def _turns(self) -> tuple[NextTurn | None, str]:
         """The bound on the next turn with the observed eta, or why there is none; empty without update steps."""
-        storage = self._storage
-        if isinstance(storage, DmframeError) or not any(part.certificate.steps for part in storage.claim.parts):
+        try:
+            claim = self._claim
+        except DmframeError:
+            return None, ""
+        if not any(part.certificate.steps for part in claim.parts):
             return None, ""
         try:
             return self.next_turn(), ""
