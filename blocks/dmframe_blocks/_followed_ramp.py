@@ -58,7 +58,7 @@ EVIDENCE_TIME: Final = 2.0
 FOLLOWED: Final = 0.1
 """Share of `doubt` that suffices for the conclusion that the robot follows."""
 GIVEN_UP: Final = 0.02
-"""Share of `doubt` by which the evidence has to speak for a ramp to end the trial."""
+"""Evidence for a ramp, relative to `doubt`, that ends the trial."""
 TRIED: Final = 0.125
 """Longest duration of the trial, relative to `evidence_time`."""
 CAUGHT: Final = 1e-6
