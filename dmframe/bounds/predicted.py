@@ -196,7 +196,10 @@ def _gains(points: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
         states = csr_array(point["n_s"]) @ states + csr_array(point["n_q"]) @ positions
         right = -(csr_array(point["e_s"]) @ states)
         right[:, now] += np.eye(joints)
-        positions = np.linalg.solve(point["e_q"], right)
+        try:
+            positions = np.linalg.solve(point["e_q"], right)
+        except np.linalg.LinAlgError:
+            raise NoBoundError("a prediction error does not determine the positions in the next turn") from None
         gains[k] = csr_array(point["J"]) @ positions
     return gains.reshape(count, -1, count, joints)
 
