@@ -164,7 +164,7 @@ def test_a_larger_eta_gives_a_larger_bound_and_one_that_is_too_small_is_refused(
     with pytest.raises(NoBoundError, match="the smallest limit is"):
         turn_bound(recorded, turn, 0.9 * least)
     with pytest.raises(NoBoundError, match="grows without limit"):
-        turn_bound(recorded, replace(turn, gains=np.inf * turn.gains))
+        turn_bound(recorded, replace(turn, gains=np.full_like(turn.gains, np.inf)))
     with pytest.raises(ValueFault, match="expected one number above zero, or one for each of 2 joints"):
         turns().bound(turned(), eta=[1e-3, 1e-3, 1e-3])
     assert turns().bound(turned(), eta=0.01).found.source == "given"
