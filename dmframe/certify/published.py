@@ -231,7 +231,8 @@ class _Writer:
                     if own & {x.element_hash() for piece in term.pieces for x in ca.symvar(ca.SX(piece))}
                 )
                 wide = ca.SX.zeros(projection.state.shape[0])
-                parts = {"vector": projection.state, "true": of.loop.joined([estimate.value + wide])[0]}
+                true = of.loop.joined([estimate.value + wide])[0]
+                parts = {"vector": projection.state, "correction": projection.correction, "true": true}
                 if isinstance(projection.set, Box):
                     parts |= {"lower": projection.set.lower + wide, "upper": projection.set.upper + wide}
                 rule = "projected" if isinstance(projection.set, Box) else projection.kind

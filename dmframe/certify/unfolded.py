@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, final
 
 import casadi as ca
@@ -131,7 +132,7 @@ def stepped(label: str, item: NormalisedSteps) -> Iterator[Unfolded]:
     box = [ca.densify(ca.SX(end)) + ca.SX.zeros(theta.numel()) for end in item.box]
     for h, y in item.rows:
         errors, innovations, unexplained, moved = (list[SX]() for _ in range(4))
-        for j, (begin, end) in enumerate(zip(ends, ends[1:], strict=False)):
+        for j, (begin, end) in enumerate(pairwise(ends)):
             own, row = theta[begin:end], ca.densify(ca.SX(h))[begin:end]
             direction = gain[begin:end] * row
             inverse = 1 / (floor + _dot(row, direction))
@@ -142,16 +143,17 @@ def stepped(label: str, item: NormalisedSteps) -> Iterator[Unfolded]:
             unexplained.append(scaled * ((ca.SX(y)[j] - _dot(row, true[begin:end])) * inverse))
             innovations.append(factor)
             moved.append(own + direction * factor)
-        weights = ca.vertcat(*(ca.vertcat(floor, gain[a:b]) for a, b in zip(ends, ends[1:], strict=False))) / 2
+        weights = ca.vertcat(*(ca.vertcat(floor, gain[a:b]) for a, b in pairwise(ends))) / 2
         yield square(f"(h'({label} - true value))^2 / n", "dissipated", ca.vertcat(*errors), weights)
         lost = f"floor (y - h'{label})^2 / n^2"
         yield square(lost, "dissipated", ca.vertcat(*innovations), floor / 2 + ca.SX.zeros(len(innovations)))
         yield square("eta^2 / n", "residual", ca.vertcat(*unexplained), weights)
         theta = ca.vertcat(*moved)
         if box:
-            parts = {"vector": theta, "true": true, "lower": box[0], "upper": box[1], "weight": 1 / gain}
-            yield Unfolded(label, "dissipated", "projected", parts)
             inside = ca.fmin(ca.fmax(theta, box[0]), box[1])
+            own = {"lower": box[0], "upper": box[1], "weight": 1 / gain}
+            parts = {"vector": theta, "correction": inside - theta, "true": true, **own}
+            yield Unfolded(label, "dissipated", "projected", parts)
             yield square(f"the distance of {label} to its box", "dissipated", inside - theta, 1 / (2 * gain))
             theta = inside
 

@@ -1,28 +1,20 @@
 """Checks the certificate of a control loop: ``python check.py FILE [--json]``.
 
 ``dmframe verify GRAPH --certificate FILE`` writes the file. This program needs Python's standard library alone, and
-shares no code with dmframe or ``check.js``. The page ``docs/explanation/checker.md`` proves each rule.
-
-Exit status: 0 re-proved, 1 refuted, 2 refused (no valid certificate, or a rule that this program does not know).
+shares no code with dmframe or ``check.js``; the page ``docs/explanation/checker.md`` proves each rule. Exit status: 0
+re-proved, 1 refuted, 2 refused (no valid certificate, or a rule that this program does not know).
 
 A certificate contains symbols x (states, given signals, constants), a program of their functions, the rates dx/dt (or
-the next values x+), and terms. It states that
+the next values x+), and vectors and weights from which this program forms terms. It states that
 
-    V = 1/2 sum_k T_k,   dV/dt = - sum d_k + sum residual
+    V = 1/2 sum of stored terms,   dV/dt = - sum of dissipated terms + sum of residual terms
 
-holds identically, or the same for V(x+) - V(x). T_k and d_k are formed from vectors and weights by a rule. The file
-contains no value of V and no derivative. In the order of this program:
-
-1. Expressions, their derivatives, and their values: modulo a prime, and in intervals.
-2. The certificate, its terms, and its robot.
-3. The identity. A fraction of polynomials that is not identically zero vanishes at a random point with a probability of
-   at most 8 (D + H) / 2^bits, where D and H bound its degree and its coefficients.
-4. Signs of weights, boxes and conditions, in intervals.
-5. Conclusions: signals that are bounded, and those that go to zero.
+holds identically, or the same for V(x+) - V(x). The file contains no value of V and no derivative.
 """
 
 import json
 import operator
+import re
 import secrets
 import sys
 from fractions import Fraction
@@ -32,13 +24,26 @@ from types import SimpleNamespace
 
 SIZES, WANTED, LARGEST, LONGEST = (149, 269, 521), -300, 10**6, 2 * 10**7
 ARITHMETIC = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
-BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
 UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
 BINARY = set("add sub mul div fmin fmax lt le eq and if_else_zero atan2".split())
-ASSUMED = (
+BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
+KINDS = {"constant", "given", "time", "state", "correction"}
+ROLES = {
+    "stored": {"square", "potential"},
+    "dissipated": {"square", "tanh", "atan", "projected"},
+    "residual": {"square"},
+}
+PARTS = {  # of a rule's terms
+    "square": "vector weight",
+    "potential": "vector scale weight",
+    "tanh": "vector other scale weight",
+    "atan": "vector other scale weight",
+    "projected": "vector correction true lower upper weight",
+}
+ASSUMED = [
     "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
     "divisors, those of derivatives too, and arguments of logarithms stay away from 0; arguments of roots are positive",
-)
+]
 
 
 class Refused(Exception):
@@ -50,17 +55,12 @@ class Refuted(Exception):
 
 
 class Undecided(Exception):
-    """A divisor vanishes at this point, or these intervals do not decide."""
+    """These intervals do not decide."""
 
 
-def need(condition, text):
+def need(condition, text, fault=Refused):
     if not condition:
-        raise Refused(text)
-
-
-def show(condition, text):
-    if not condition:
-        raise Refuted(text)
+        raise fault(text)
 
 
 # ---- Expressions -----------------------------------------------------------------------------------------------------
@@ -95,23 +95,19 @@ def number(value):
 
 ZERO, ONE = Node("number", value=Fraction(0)), Node("number", value=Fraction(1))
 HALF, MINUS = number(Fraction(1, 2)), number(-1)
-SLOPES = {  # of a function f: its derivative by each operand
-    "add": lambda f, x, y: (ONE, ONE),
-    "sub": lambda f, x, y: (ONE, MINUS),
-    "mul": lambda f, x, y: (y, x),
-    "inv": lambda f, x: (ZERO - f * f,),
-    "sin": lambda f, x: (Node("cos", x),),
-    "cos": lambda f, x: (ZERO - Node("sin", x),),
-    "tanh": lambda f, x: (ONE - f * f,),
-    "atan": lambda f, x: (ONE / (ONE + x * x),),
-    "sqrt": lambda f, x: (ONE / (f + f),),
-    "exp": lambda f, x: (f,),
-    "log": lambda f, x: (ONE / x,),
+SLOPES = {  # derivatives of a function f by its operands
+    "add": lambda f, x, y: [ONE, ONE],
+    "sub": lambda f, x, y: [ONE, MINUS],
+    "mul": lambda f, x, y: [y, x],
+    "inv": lambda f, x: [ZERO - f * f],
+    "sin": lambda f, x: [Node("cos", x)],
+    "cos": lambda f, x: [ZERO - Node("sin", x)],
+    "tanh": lambda f, x: [ONE - f * f],
+    "atan": lambda f, x: [ONE / (ONE + x * x)],
+    "sqrt": lambda f, x: [ONE / (f + f)],
+    "exp": lambda f, x: [f],
+    "log": lambda f, x: [ONE / x],
 }
-
-
-def apply(name, *of):
-    return ARITHMETIC[name](*of) if name in ARITHMETIC else Node(name, *of)
 
 
 def below(nodes, known=()):
@@ -130,35 +126,99 @@ def symbols(nodes):
     return {node for node in below(nodes) if node.name == "symbol"}
 
 
-def rates(nodes, moves, found):
-    """Derivatives, with those of symbols from the function `moves`; None where there is none. `found` keeps all."""
-    for node in below(nodes, found):
-        own = [found[x] for x in node.of]
-        if node.name == "symbol":
-            found[node] = moves(node)
-        elif None not in own and all(rate is ZERO for rate in own):
-            found[node] = ZERO
-        else:
-            known = None not in own and node.name in SLOPES
-            found[node] = dot(SLOPES[node.name](node, *node.of), own) if known else None
-    return [found[node] for node in nodes]
+def evaluate(nodes, call, values):
+    """Values of nodes, each by a `call` with the node and the values of its operands. `values` keeps all of them."""
+    for node in below(nodes, values):
+        values[node] = call(node, *[values[x] for x in node.of])
+    return [values[node] for node in nodes]
 
 
 def replaced(nodes, given):
-    """The nodes with others in place of symbols."""
-    found = dict(given)
-    for node in below(nodes, found):
-        of = [found[x] for x in node.of]
-        found[node] = node if all(a is b for a, b in zip(of, node.of)) else apply(node.name, *of)
-    return [found[node] for node in nodes]
+    """The nodes with others in place of some."""
+
+    def call(node, *of):
+        same = all(x is y for x, y in zip(node.of, of))
+        return node if same else ARITHMETIC.get(node.name, partial(Node, node.name))(*of)
+
+    return evaluate(nodes, call, dict(given))
 
 
-def evaluate(nodes, ring, values):
-    """Values in a ring, whose elements have + - *. `values` contains given ones, and keeps all."""
-    for node in below(nodes, values):
-        of = [values[x] for x in node.of]
-        values[node] = ring.kept(ARITHMETIC[node.name](*of)) if node.name in ARITHMETIC else ring.call(node, *of)
-    return [values[node] for node in nodes]
+def rates(nodes, moves, found):
+    """Derivatives, with those of symbols from the function `moves`; None where there is none. `found` keeps all."""
+
+    def call(node, *slopes):
+        if node.name == "symbol":
+            return moves(node)
+        if None not in slopes and all(slope is ZERO for slope in slopes):
+            return ZERO
+        return dot(SLOPES[node.name](node, *node.of), slopes) if None not in slopes and node.name in SLOPES else None
+
+    return evaluate(nodes, call, found)
+
+
+class Field:
+    """Values modulo a prime. A function has a random value for each argument: what holds for all values holds for those
+    of the function. sin and cos of one argument are a random point of the unit circle. If `frozen`, a bounded function
+    keeps its value whatever its argument is. A divisor that vanishes is a ValueError.
+    """
+
+    def __init__(self, p, frozen=False):
+        self.p, self.frozen, self.known = p, frozen, {}
+
+    def random(self, *key):
+        return self.known.setdefault(key, secrets.randbelow(self.p))
+
+    def number(self, value):
+        return value.numerator * pow(value.denominator, -1, self.p) % self.p
+
+    def __call__(self, node, *given):
+        name = node.name
+        if name in ARITHMETIC:
+            return ARITHMETIC[name](*given) % self.p
+        if name == "number":
+            return self.number(node.value)
+        if name == "inv":
+            return pow(*given, -1, self.p)
+        if name in ("sin", "cos"):
+            t = self.random("circle", *(node.of if self.frozen else given))
+            return (1 - t * t if name == "cos" else 2 * t) * pow(1 + t * t, -1, self.p) % self.p
+        still = name == "symbol" or (self.frozen and name in BOUNDED)
+        return self.random(node) if still else self.random(name, *given)
+
+
+class Interval:
+    """A rational interval, which contains all values over the intervals of the symbols."""
+
+    def __init__(self, lower, upper):
+        self.lower, self.upper = lower, upper
+        size = max(x.numerator.bit_length() + x.denominator.bit_length() for x in (lower, upper))
+        need(size < LARGEST, "a number is too long", Undecided)
+
+    def __add__(self, other):
+        return Interval(self.lower + other.lower, self.upper + other.upper)
+
+    def __sub__(self, other):
+        return Interval(self.lower - other.upper, self.upper - other.lower)
+
+    def __mul__(self, other):
+        ends = [x * y for x in (self.lower, self.upper) for y in (other.lower, other.upper)]
+        return Interval(max(min(ends), Fraction(0)) if self is other else min(ends), max(ends))
+
+    @staticmethod
+    def call(node, *given):
+        if node.name == "number":
+            return Interval(node.value, node.value)
+        if node.name in ARITHMETIC:
+            return ARITHMETIC[node.name](*given)
+        need(node.name in ("fabs", "inv"), "a symbol or a function without an interval", Undecided)
+        (a,) = given
+        if node.name == "fabs":
+            return Interval(max(a.lower, -a.upper, Fraction(0)), max(-a.lower, a.upper))
+        need(a.lower > 0 or a.upper < 0, "a divisor may vanish", Undecided)
+        return Interval(1 / a.upper, 1 / a.lower)
+
+
+# ---- Vectors and matrices --------------------------------------------------------------------------------------------
 
 
 def each(function, *vectors):
@@ -182,9 +242,13 @@ def flat(rows):
     return [x for row in rows for x in row]
 
 
+def unit(n, zero=0, one=1):
+    return [[one if i == k else zero for i in range(n)] for k in range(n)]
+
+
 def matrix(elements, rows):
     """The rows of a matrix that is given column by column."""
-    need(rows > 0 and len(elements) % rows == 0, "a matrix: its number of rows")
+    need(len(elements) % rows == 0, "a matrix: its number of rows")
     return [elements[i::rows] for i in range(rows)]
 
 
@@ -204,142 +268,35 @@ def pivots(rows):
     return found
 
 
-class Field:
-    """Residues modulo a prime. A function has a random value for each argument: what holds for all values holds for
-    those of the function. sin and cos of one argument are a random point of the unit circle. If `frozen`, a bounded
-    function keeps its value whatever its argument is.
-    """
-
-    def __init__(self, p, frozen=False):
-        self.p, self.frozen, self.known = p, frozen, {}
-
-    def random(self, *key):
-        return self.known.setdefault(key, secrets.randbelow(self.p))
-
-    def kept(self, value):
-        return value % self.p
-
-    def inverse(self, a):
-        if a % self.p == 0:
-            raise Undecided("a divisor vanishes")
-        return pow(a, -1, self.p)
-
-    def number(self, value):
-        return value.numerator * self.inverse(value.denominator) % self.p
-
-    def call(self, node, *given):
-        name, circle = node.name, node.name in ("sin", "cos")
-        if name == "number":
-            return self.number(node.value)
-        if name == "symbol" or (self.frozen and name in BOUNDED and not circle):
-            return self.random(node)
-        if name == "inv":
-            return self.inverse(*given)
-        if circle:
-            return self.turned(name, 1, node.of[0]) if self.frozen else self.turned(name, *given, self.size(*given))
-        return self.random(name, self.size(*given)) if name == "fabs" else self.random(name, *given)
-
-    def size(self, a):
-        return min(a, -a % self.p)
-
-    def turned(self, name, angle, key):
-        if angle == 0:
-            return int(name == "cos")
-        t = self.random("circle", key)
-        value = (1 - t * t if name == "cos" else 2 * t) * self.inverse(1 + t * t) % self.p
-        return value if name == "cos" or 2 * angle < self.p else self.p - value
-
-
-class Interval:
-    """A rational interval, which contains all values over the intervals of the constants. The class is the ring."""
-
-    def __init__(self, lower, upper):
-        self.lower, self.upper = lower, upper
-        if max(x.numerator.bit_length() + x.denominator.bit_length() for x in (lower, upper)) > LARGEST:
-            raise Undecided("a number is too long")
-
-    def __add__(self, other):
-        return Interval(self.lower + other.lower, self.upper + other.upper)
-
-    def __sub__(self, other):
-        return Interval(self.lower - other.upper, self.upper - other.lower)
-
-    def __mul__(self, other):
-        ends = [x * y for x in (self.lower, self.upper) for y in (other.lower, other.upper)]
-        return Interval(max(min(ends), Fraction(0)) if self is other else min(ends), max(ends))
-
-    @staticmethod
-    def kept(value):
-        return value
-
-    @staticmethod
-    def call(node, *given):
-        if node.name == "number":
-            return Interval(node.value, node.value)
-        (a,) = given if node.name in ("fabs", "inv") else (None,)
-        if node.name == "fabs":
-            return Interval(max(a.lower, -a.upper, Fraction(0)), max(-a.lower, a.upper))
-        if a is None or a.lower <= 0 <= a.upper:
-            raise Undecided(f"{node.name}: no interval")
-        return Interval(1 / a.upper, 1 / a.lower)
-
-
 # ---- The file --------------------------------------------------------------------------------------------------------
-
-KINDS = {"constant", "given", "time", "state", "correction"}
-RULES = {  # of terms: their roles, and their parts
-    "square": ({"stored", "dissipated", "residual"}, "vector weight"),
-    "potential": ({"stored"}, "vector scale weight"),
-    "tanh": ({"dissipated"}, "vector other scale weight"),
-    "atan": ({"dissipated"}, "vector other scale weight"),
-    "projected": ({"dissipated"}, "vector true lower upper weight"),
-}
 
 
 def read(value, shape):
-    """A value of a shape: an object with these keys, a list of one shape, or what a function makes of the value."""
+    """A value of a shape: an object with these keys, a list, (shape,) or null, one of a set, a type, or a function."""
     if isinstance(shape, dict):
-        wrong = sorted(value.keys() ^ shape.keys())
-        need(not wrong, f"missing or unknown: {', '.join(wrong)}")
+        need(value.keys() == shape.keys(), f"missing or unknown: {', '.join(sorted(value.keys() ^ shape.keys()))}")
         return SimpleNamespace(**{key: read(value[key], own) for key, own in shape.items()})
     if isinstance(shape, list):
         need(type(value) is list, "expected a list")
         return [read(item, shape[0]) for item in value]
-    return shape(value)
-
-
-def typed(kind):
-    def reading(value):
-        fits = type(value) is kind and (kind is not int or 0 <= value < LARGEST)
-        need(fits and (kind is not str or value.isprintable()), f"expected {kind.__name__}, found {value!r:.40}")
-        return value
-
-    return reading
-
-
-def one_of(*words):
-    def reading(value):
-        need(type(value) in (str, int) and value in words, f"unknown: {value!r:.40}")
-        return value
-
-    return reading
-
-
-def optional(shape):
-    return lambda value: None if value is None else read(value, shape)
+    if isinstance(shape, tuple):
+        return None if value is None else read(value, shape[0])
+    if not isinstance(shape, set | type):
+        return shape(value)
+    found = type(value) in (str, int) and value in shape if isinstance(shape, set) else type(value) is shape
+    fits = value.isprintable() if type(value) is str else type(value) is not int or 0 <= value < LARGEST
+    need(found and fits, f"unknown: {value!r:.40}")
+    return value
 
 
 def at(items, k):
-    need(type(k) is int and 0 <= k < len(items), f"a place: there is no number {k!r:.20}")
+    need(type(k) is int and 0 <= k < len(items), f"there is no number {k!r:.20}")
     return items[k]
 
 
 def rational(text):
-    numerator, slash, denominator = text.partition("/")
-    digits = numerator.removeprefix("-") + denominator
-    need(len(text) < 4000 and digits.isascii() and digits.isdigit(), f"expected a fraction, found {text:.40}")
-    need(numerator not in ("", "-") and (not slash or int(denominator)), f"expected a fraction, found {text:.40}")
-    return Fraction(int(numerator), int(denominator or 1))
+    need(len(text) < 4000 and re.fullmatch("-?[0-9]+(/0*[1-9][0-9]*)?", text), f"expected a fraction: {text:.40}")
+    return Fraction(text)
 
 
 class Certificate:
@@ -347,91 +304,83 @@ class Certificate:
 
     def __init__(self, data):
         need(type(data) is dict and data.get("version") == 4, "version: expected 4; write the file again")
-        vector, text = self.vector, typed(str)
-        joint = {"kind": one_of("revolute", "prismatic"), "axis": vector, "place": vector, "body": vector}
+        vector = self.vector
+        joint = {"kind": {"revolute", "prismatic"}, "axis": vector, "place": vector, "body": vector}
         shape = {  # in the order of reading
-            "format": one_of("dmframe-certificate"),
-            "version": one_of(4),
-            "about": typed(dict),
-            "over": one_of("flow", "sample"),
+            "format": {"dmframe-certificate"},
+            "version": {4},
+            "about": dict,
+            "over": {"flow", "sample"},
             "symbols": self.read_symbols,
             "program": self.read_program,
             "vectors": [[lambda k: at(self.program, k + 1)]],
             "rates": self.read_rates,
             "terms": [self.read_term],
-            "robots": [{"position": text, "joints": [joint], "rotors": vector, "gravity": vector, "torque": vector}],
+            "robots": [{"position": str, "joints": [joint], "rotors": vector, "gravity": vector, "torque": vector}],
             "stable": [{"vector": vector, "weight": vector, "loss": vector}],
-            "ranks": [{"name": text, "matrix": vector, "vector": vector}],
-            "conditions": [{"name": text, "margin": optional(vector), "strict": typed(bool)}],
-            "conclusions": [{"signal": text, "says": text, "vector": optional(vector)}],
-            "assumed": [text],
+            "ranks": [{"name": str, "matrix": vector, "vector": vector}],
+            "conditions": [{"name": str, "margin": (vector,), "strict": bool}],
+            "conclusions": [{"signal": str, "says": str, "vector": (vector,)}],
+            "assumed": [str],
         }
         need(data.keys() == shape.keys(), f"missing or unknown: {', '.join(sorted(data.keys() ^ shape.keys()))}")
         for key, own in shape.items():
             setattr(self, key, read(data[key], own))
         self.samples, self.derivatives = self.over == "sample", {}
         flow = self.robots or self.stable or self.ranks or {x.rule for x in self.terms} - {"square", "projected"}
-        need(not self.samples or not flow, "a rule that is unknown over a sample")
+        need(not (self.samples and flow), "a rule that is unknown over a sample")
         need(any(term.role == "stored" for term in self.terms), "V has no term")
         self.stated = [f"{item.signal} {item.says}" for item in self.conclusions]
         need(len({*self.stated}) == len(self.stated), "a conclusion occurs twice")
         for node, rate in self.rates.items():
-            given = (
-                self.kind(node) == "given" and not self.samples and not self.kinds_in([rate]) & {"state", "correction"}
-            )
-            need(self.kind(node) == "state" or given, f"{node.value[0]}: a rate")
+            given = not self.samples and self.kinds_in([rate]) <= {"constant", "given", "time"}
+            need(self.kind(node) == "state" or (self.kind(node) == "given" and given), f"{node.value[0]}: a rate")
 
     def read_symbols(self, items):
         """The nodes of each label."""
         found, self.kinds, self.numbers, self.fixed = {}, {}, {}, {}
-        numbers = optional([[rational]])
-        shape = {
-            "label": typed(str),
-            "kind": one_of(*KINDS),
-            "size": typed(int),
-            "numbers": numbers,
-            "exact": typed(bool),
-        }
-        for item in read(items, [shape]):
+        for item in read(
+            items, [{"label": str, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}]
+        ):
             need(item.label not in found, f"{item.label}: a symbol occurs twice")
             need(item.numbers is None or item.kind == "constant", f"{item.label}: numbers of a {item.kind}")
-            found[item.label] = nodes = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
-            self.kinds[item.label] = item.kind
-            for node, (lower, upper) in zip(nodes, item.numbers or (), strict=item.numbers is not None or item.exact):
+            nodes = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
+            found[item.label], self.kinds[item.label] = nodes, item.kind
+            given = item.numbers is not None or item.exact
+            for node, (lower, upper) in zip(nodes, item.numbers or (), strict=given):
                 need(lower == upper if item.exact else lower <= upper, f"{item.label}: its numbers")
                 self.numbers[node] = Interval(lower, upper)
                 self.fixed |= {node: lower} if item.exact else {}
         return found
 
     def read_program(self, value):
-        """The nodes of all instructions, after that of zero."""
-        columns = {"code": [typed(int)], "a": [typed(int)], "b": [typed(int)]}
-        program, labels = read(value, {"operations": [str], "constants": [rational], **columns}), list(self.symbols)
-        numbers, nodes, self.divided = list(map(number, program.constants)), [ZERO], []
+        """A zero, and the nodes of all instructions."""
+        shape = {"operations": [str], "code": [int], "a": [int], "b": [int], "constants": [rational]}
+        program, labels, nodes, self.divided = read(value, shape), list(self.symbols), [ZERO], []
+        constants = list(map(number, program.constants))
         for k, first, second in zip(program.code, program.a, program.b, strict=True):
             name = at(program.operations, k)
             if name == "const":
-                nodes.append(at(numbers, first))
+                nodes.append(at(constants, first))
             elif name == "input":
                 nodes.append(at(self.symbols[at(labels, first)], second))
             else:
                 x, y = at(nodes, first + 1), at(nodes, second + 1)
-                need(name in UNARY or name in BINARY, f"unknown operation {name!r:.30}")
-                nodes.append(apply(name, x) if name in UNARY else apply(name, x, y))
+                need(name in UNARY or name in BINARY, f"unknown operation {name:.30}")
+                own = Node(name, x) if name in UNARY else Node(name, x, y)
+                nodes.append(ARITHMETIC[name](x, y) if name in ARITHMETIC else own)
                 self.divided += [Node("inv", y)] * (name == "div")  # a divisor must not vanish, even in a part times 0
         return nodes
 
     def read_rates(self, value):
         """The rate, or the next value, of each symbol that has one."""
-        pairs = [zip(self.symbols[label], self.vector(k), strict=True) for label, k in value.items()]
-        return dict(flat(pairs))
+        return dict(flat(zip(self.symbols[label], self.vector(k), strict=True) for label, k in value.items()))
 
     def read_term(self, value):
-        need(value["rule"] in RULES, f"unknown rule {value['rule']!r:.20}")
-        roles, parts = RULES[value["rule"]]
-        role, rule, assumed = one_of(*roles), one_of(value["rule"]), optional(typed(str))
-        parts = dict.fromkeys(parts.split(), self.vector)
-        return read(value, {"name": typed(str), "role": role, "rule": rule, "parts": parts, "assumed": assumed})
+        role, rule = value["role"], value["rule"]
+        need(role in ROLES and rule in ROLES[role], f"unknown rule {rule!r:.20} of a {role!r:.20} term")
+        parts = dict.fromkeys(PARTS[rule].split(), self.vector)
+        return read(value, {"name": str, "role": {role}, "rule": {rule}, "parts": parts, "assumed": (str,)})
 
     def vector(self, k):
         return at(self.vectors, k)
@@ -442,16 +391,10 @@ class Certificate:
     def kinds_in(self, nodes):
         return {self.kind(x) for x in symbols(nodes)}
 
-    def correction(self, node):
-        """The symbol of what a projection adds to the rate of a state."""
-        (label, k), other = node.value, f"{node.value[0]}, correction"
-        need(self.kinds[label] == "state" and self.kinds[other] == "correction", f"{label}: expected a projected state")
-        return at(self.symbols[other], k)
-
     def rate(self, nodes):
         """Derivatives along the file's rates; None where there is none, or of a symbol without a rate."""
-        slopes = {"time": ONE, "constant": ZERO}
-        return rates(nodes, lambda x: self.rates.get(x, slopes.get(self.kind(x))), self.derivatives)
+        still = {"time": ONE, "constant": ZERO}
+        return rates(nodes, lambda x: self.rates.get(x, still.get(self.kind(x))), self.derivatives)
 
     def sure_rate(self, nodes):
         found = self.rate(nodes)
@@ -475,12 +418,11 @@ def term_value(of, term):
     part, a, w = term.parts, term.parts.vector, term.parts.weight
     if term.rule == "square":  # |a|^2 in the weight W
         return dot(a, weighted(w, a))
+    if term.rule == "projected":  # -w (x - true) c, with x = a over a flow, and x = a + c over samples
+        x = plus(a, part.correction) if of.samples else a
+        return ZERO - dot(w, times(minus(x, part.true), part.correction))
     if term.rule == "potential":  # 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
-        gains = each(lambda v, root: v * v * (root - ONE), part.scale, roots(part))
-        return dot(w, gains) / HALF
-    if term.rule == "projected":  # -w (x - true) c
-        x, c = projection(of, part)
-        return ZERO - dot(w, times(minus(x, part.true), c))
+        return dot(w, each(lambda v, root: v * v * (root - ONE), part.scale, roots(part))) / HALF
     phi = [[Node(term.rule, x) for x in over(own, part.scale)] for own in (a, part.other)]
     return dot(w, times(minus(a, part.other), minus(*phi)))  # w (a - b) (phi(a / v) - phi(b / v))
 
@@ -490,19 +432,15 @@ def roots(part):
     return [Node("sqrt", ONE + x * x) for x in over(part.vector, part.scale)]
 
 
-def projection(of, part):
-    """Values x in the box, and what moves them: symbols c in the rate of x, or x = z + c is the nearest point to z."""
-    z = part.vector
-    if not of.samples:
-        return z, [of.correction(x) for x in z]
-    x = each(lambda z, low, high: Node("fmin", Node("fmax", z, low), high), z, part.lower, part.upper)
-    return x, minus(x, z)
-
-
-def nominal(of, part):
-    """Rates of projected states without their corrections."""
-    x, c = projection(of, part)
-    return replaced([of.rates[node] for node in x], dict.fromkeys(c, ZERO))
+def correction(of, part):
+    """What a projection adds to the rates of estimates; over samples, what moves values into their box."""
+    if of.samples:
+        clip = lambda x, low, high: Node("fmin", Node("fmax", x, low), high)  # noqa: E731
+        return minus(each(clip, part.vector, part.lower, part.upper), part.vector)
+    symbol = {("symbol", "state"), ("symbol", "correction")}
+    need({(x.name, of.kind(x)) for x in part.vector + part.correction} == symbol, "a projection: expected symbols")
+    rate = [of.rates[x] for x in part.vector]
+    return minus(rate, replaced(rate, dict.fromkeys(part.correction, ZERO)))
 
 
 def robot(of, item):
@@ -516,7 +454,8 @@ def robot(of, item):
     for joint, x in zip(item.joints, q, strict=True):
         first, second, third = (row[:3] for row in matrix(joint.place, 3))
         norms = [dot(a, a) - ONE for a in (first, second, joint.axis)]
-        yield "a joint's rotation and axis", [*norms, dot(first, second), *minus(cross(first, second), third)]
+        cross = [first[k - 2] * second[k - 1] - first[k - 1] * second[k - 2] for k in range(3)]
+        yield "a joint's rotation and axis", [*norms, dot(first, second), *minus(cross, third)]
         yield "the rates of a joint and its body", of.sure_rate([*joint.place, *joint.axis, *joint.body])
         T = product(T, placed(joint, x))
         frames.append(flat(T[:3]))
@@ -524,11 +463,12 @@ def robot(of, item):
     falls = flat([ZERO, ZERO, ZERO, g] for g in item.gravity)
     accelerations = [minus(of.sure_rate(of.sure_rate(T)), falls) for T in frames]
     for x, ddx, rotor, torque in zip(q, of.sure_rate(of.sure_rate(q)), item.rotors, item.torque, strict=True):
-        force = rotor * ddx
+        force = rotor * ddx - torque
         for joint, T, acceleration in zip(item.joints, frames, accelerations):
             slope = rates(T, lambda node, x=x: ONE if node is x else ZERO, {})
-            force += trace(slope, pseudo_inertia(joint.body), acceleration)
-        yield "the robot's equation of motion", [force - torque]
+            momentum = product([slope[k : k + 4] for k in (0, 4, 8)], pseudo_inertia(joint))
+            force += dot(flat(momentum), acceleration)
+        yield "the robot's equation of motion", [force]
 
 
 def placed(joint, x):
@@ -545,19 +485,9 @@ def placed(joint, x):
     return product([*matrix(joint.place, 3), last], [*([*row, d] for row, d in zip(turn, shift)), last])
 
 
-def pseudo_inertia(body):
+def pseudo_inertia(joint):
     """S from its elements on and below the diagonal, row by row."""
-    return [[body[max(i, k) * (max(i, k) + 1) // 2 + min(i, k)] for k in range(4)] for i in range(4)]
-
-
-def trace(X, S, Y):
-    """tr(X S Y') with X and Y given row by row."""
-    rows = [product([X[k : k + 4]], S)[0] for k in range(0, len(X), 4)]
-    return dot(flat(rows), Y)
-
-
-def cross(a, b):
-    return [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]
+    return [[joint.body[max(i, k) * (max(i, k) + 1) // 2 + min(i, k)] for k in range(4)] for i in range(4)]
 
 
 # ---- The identity ----------------------------------------------------------------------------------------------------
@@ -565,31 +495,27 @@ def cross(a, b):
 
 def equalities(of):
     """Names, and nodes that must vanish; the first one is V, which must not."""
-    V, total, found = ZERO, ZERO, []
+    V, total, found = ZERO, ZERO, flat(robot(of, item) for item in of.robots)
     for term in of.terms:
         value = term_value(of, term)
         if term.role == "stored":
             V, total = V + value, total + HALF * of.change(value)
         else:
             total = total + value if term.role == "dissipated" else total - value
-        if term.rule == "projected" and not of.samples:
-            actual, (x, c) = [of.rates[node] for node in term.parts.vector], projection(of, term.parts)
-            found.append((f"{term.name}: the rate of its state", minus(minus(actual, nominal(of, term.parts)), c)))
-    found += flat(robot(of, item) for item in of.robots)
+        if term.rule == "projected":
+            found.append((f"the correction of {term.name}", minus(correction(of, term.parts), term.parts.correction)))
     return [("V", [V]), ("V(next) - V" if of.samples else "dV/dt", [total]), *found]
 
 
 def complexity(nodes, fixed):
     """D + H of all polynomials that must not vanish at a random point: the numerators of these nodes and of divisors,
-    and the differences x - y and x + y of arguments of one function, with 0 and 1 as further arguments. `fixed`
-    contains the numbers of symbols with exact ones.
+    and the differences of arguments of functions. `fixed` contains the numbers of symbols with exact ones.
 
     The size of a node bounds degree and log2 of the sum of coefficients, of its numerator and of its denominator.
     """
-    sizes, total, arguments = {}, 0, {}
+    sizes, total, arguments = {}, 0, set()
     for node in below(nodes):
-        rational = node.name in ARITHMETIC or node.name == "inv"
-        if rational:
+        if node.name in ARITHMETIC or node.name == "inv":
             sizes[node] = sum(sizes[x] for x in node.of) + 1
             need(sizes[node] < 1 << max(SIZES), "the degree of an expression is too high")
             total += 2 * sizes[node] * (node.name == "inv")
@@ -598,10 +524,8 @@ def complexity(nodes, fixed):
             sizes[node] = max(value.numerator.bit_length(), value.denominator.bit_length())
         else:
             sizes[node] = 2 if node.name in ("sin", "cos") else 1
-        if node.of and not rational:
-            arguments.setdefault("sin" if node.name == "cos" else node.name, set()).update(node.of)
-    for found in arguments.values():
-        total += (len(found) + 2) ** 2 * (8 * max((sizes[x] for x in found), default=0) + 8)
+            arguments.update(node.of)
+    total += len(arguments) ** 2 * (4 * max((sizes[x] for x in arguments), default=0) + 4)
     return total + 2 * max(sizes.values())
 
 
@@ -614,24 +538,26 @@ def random_prime(bits):
 
 
 def identity(of):
-    """log2 of the error bound and the number of points; raises `Refuted` at one where an equality does not hold."""
+    """log2 of the error bound and the number of points. A fraction of polynomials that is not identically zero vanishes
+    at a random point with a probability of at most 8 (D + H) / 2^bits, where D and H bound its degree and coefficients.
+    """
     found = equalities(of)
     nodes = flat([*(own for _, own in found), *of.vectors, of.divided])
-    degree = log2(complexity(nodes, of.fixed))
-    bits = next((bits for bits in SIZES if degree + 3 - bits < -64), None)
-    need(bits is not None, f"the degree of the identity is too high: D + H is 2^{degree:.0f}")
-    points = ceil(WANTED / (degree + 3 - bits))
+    error = log2(complexity(nodes, of.fixed)) + 3
+    bits = next((bits for bits in SIZES if error - bits < -64), None)
+    need(bits is not None, f"the degree of the identity is too high: 8 (D + H) is 2^{error:.0f}")
+    points = ceil(WANTED / (error - bits))
     for _ in range(points):
         field = Field(random_prime(bits))
         values = {node: field.number(value) for node, value in of.fixed.items()}
         evaluate(nodes, field, values)
         for name, own in found:
-            show(any(values[node] for node in own) == (name == "V"), f"{name} does not hold")
-    evaluate(of.divided, field, given_numbers(of, field))  # no divisor vanishes with the file's numbers
-    return points * (degree + 3 - bits), points
+            need(any(values[node] for node in own) == (name == "V"), f"{name} does not hold", Refuted)
+    evaluate(of.divided, field, with_numbers(of, field))  # no divisor vanishes with the file's numbers
+    return points * (error - bits), points
 
 
-def given_numbers(of, field):
+def with_numbers(of, field):
     """Values of constants whose interval is one number."""
     return {x: field.number(i.lower) for x, i in of.numbers.items() if i.lower == i.upper}
 
@@ -649,21 +575,19 @@ class Signs:
         for term in of.terms:
             if term.role != "residual":
                 self.term(term)
-        for joint in flat(item.joints for item in of.robots):
-            S = flat(pseudo_inertia(joint.body))
-            show(self.sign(S, 4) == 1, "a body of the robot: its pseudo-inertia is not positive")
         for item in of.robots:
-            show(self.sign(item.rotors) >= 0, "a rotor of the robot: its inertia is negative")
+            bodies = [self.sign(flat(pseudo_inertia(joint)), 4) for joint in item.joints]
+            need(min(bodies) == 1 and self.sign(item.rotors) >= 0, "a body of the robot: its inertia", Refuted)
         for item in of.conditions:
             if not item.margin or self.intervals(item.margin) is None:
                 self.assumed.append(f"condition: {item.name}")
             else:
-                show(self.sign(item.margin) >= item.strict, f"condition: {item.name}")
+                need(self.sign(item.margin) >= item.strict, f"condition: {item.name}", Refuted)
 
     def intervals(self, nodes):
         """Intervals of nodes; None if they depend on more than these, or on a function."""
         try:
-            return evaluate(nodes, Interval, dict(self.known))
+            return evaluate(nodes, Interval.call, dict(self.known))
         except Undecided:
             return None
 
@@ -674,56 +598,46 @@ class Signs:
         return (least > 0) - (least < 0)
 
     def term(self, term):
-        """A term is not negative. A projection moves an estimate towards all points of its box."""
-        part = term.parts
+        """The term is not negative: so is a weight, and a projection moves estimates towards all points of its box."""
+        part, sign = term.parts, self.sign(term.parts.weight, len(term.parts.vector) * (term.rule == "square"))
         if term.assumed and self.intervals(part.weight) is None:
             self.assumed.append(f"{term.name}: its weight is uniformly positive: {term.assumed}")
             sign = 1
-        else:
-            sign = self.sign(part.weight, len(part.vector) if term.rule == "square" else 0)
-        show(sign >= 0, f"{term.name}: the sign of its weight is wrong, or not shown")
-        self.strict += [term] * (sign == 1)
         if "scale" in vars(part):
-            show(self.sign(part.scale) == 1, f"{term.name}: its scale is not positive")
+            sign = min(sign, 2 * self.sign(part.scale) - 1)
+        need(sign >= 0, f"{term.name}: the sign of its weight is wrong, or not shown", Refuted)
+        self.strict += [term] * (sign == 1)
         if term.rule == "projected":
-            show(
-                self.sign(minus(part.upper, part.lower)) >= 0,
-                f"{term.name}: its box is empty, or not made of constants",
-            )
-            if self.intervals(part.true) is None:
-                self.assumed.append(f"{term.name}: the true value is inside the box")
-            else:
-                room = minus(part.true, part.lower) + minus(part.upper, part.true)
-                show(self.sign(room) >= 0, f"{term.name}: the true value is not inside the box")
-            if not self.of.samples:
-                self.state_in_box(part)
+            self.box(term)
 
-    def state_in_box(self, part):
-        for node, low, high in zip(part.vector, self.intervals(part.lower), self.intervals(part.upper), strict=True):
-            need(node not in self.known, f"{node.value[0]}: two boxes")
-            self.known[node] = Interval(low.lower, high.upper)
-            self.assumed.append(f"{node.value[0]}: it starts in its box, and its law is this projection")
+    def box(self, term):
+        part, known = term.parts, self.intervals(term.parts.true) is not None
+        room = [minus(part.true, part.lower), minus(part.upper, part.true)] * known
+        self.assumed += [f"{term.name}: its true value is inside its box"] * (not known)
+        signs = [self.sign(x) for x in (minus(part.upper, part.lower), *room)]
+        need(min(signs) >= 0, f"{term.name}: its box is empty, or its true value is not inside", Refuted)
+        if self.of.samples:
+            return
+        self.assumed.append(f"{term.name}: it starts in its box, and its law is this projection")
+        for x, low, high in zip(part.vector, self.intervals(part.lower), self.intervals(part.upper), strict=True):
+            need(x not in self.known, f"{term.name}: two boxes")
+            self.known[x] = Interval(low.lower, high.upper)
 
 
-# ---- Conclusions in continuous time ----------------------------------------------------------------------------------
+# ---- Conclusions -----------------------------------------------------------------------------------------------------
 
 
 def restricted(basis, slopes, p):
     """The directions in the span of a basis along which all functionals vanish; slopes[k] are theirs along basis[k]."""
-    rows = [[*u, *own] for u, own in zip(basis, slopes, strict=True)]
-    n = len(basis[0]) if basis else 0
+    rows, n = [[*u, *own] for u, own in zip(basis, slopes, strict=True)], len(basis[0]) if basis else 0
     for k in range(n, len(rows[0]) if rows else n):
         pivot = next((row for row in rows if row[k]), None)
         if pivot is not None:
             scale = pow(pivot[k], -1, p)
-            scaled = [x * scale % p for x in pivot]
             others = [row for row in rows if row is not pivot]
-            rows = [[(x - row[k] * y) % p for x, y in zip(row, scaled)] if row[k] else row for row in others]
+            factors = [row[k] * scale % p for row in others]
+            rows = [[(x - f * y) % p for x, y in zip(row, pivot)] if f else row for f, row in zip(factors, others)]
     return [row[:n] for row in rows]
-
-
-def unit(n, zero=0, one=1):
-    return [[one if i == k else zero for i in range(n)] for k in range(n)]
 
 
 class Conclusions:
@@ -738,40 +652,44 @@ class Conclusions:
         self.of, self.signs, self.p, self.points, self.gone = of, signs, random_prime(SIZES[0]), [], []
         field, elements = Field(self.p), flat(of.symbols.values())
         self.columns = [x for x in elements if of.kind(x) in ("state", "time", "correction")]
-        self.given = {x: field.random(x) for x in elements if of.kind(x) == "constant"} | given_numbers(of, field)
+        self.given = {x: field.random(x) for x in elements if of.kind(x) == "constant"} | with_numbers(of, field)
         self.places = [(Field(self.p, frozen=True), dict(self.given)) for _ in range(2)]
         self.squares = flat(x.parts.vector for x in signs.strict if (x.role, x.rule) == ("dissipated", "square"))
         self.wanted = [x for x in of.conclusions if x.vector]
         self.bounds, self.limits, self.open = [], [], unit(len(self.columns))
         self.premises()
-        while any([self.bounded(given) and self.close(nodes) for given, nodes in self.bounds]):
+        while sum([self.bounded(given) and self.close(nodes) for given, nodes in self.bounds]):
             pass
-        ends = [x.vector for x in self.wanted if x.says == "goes to zero"] + [nodes for _, nodes, _ in self.limits]
-        self.basis = unit(4 + sum(map(len, ends)))
+        self.count = 4 + sum(len(x.vector) for x in self.wanted) + sum(len(nodes) for _, nodes, _ in self.limits)
+        self.basis = unit(self.count)
 
     def premises(self):
         """Where the first signals of `bounds` are bounded, the second are; where those of `limits` vanish, too."""
-        of = self.of
+        of, moving = self.of, [x for x in self.columns if x in self.of.rates]
+        steady = unit(len(moving))  # combinations of states whose rate is identically zero
+        for row in self.sampled([of.rates[x] for x in moving], len(moving) + 3):
+            steady = restricted(steady, [[dot(u, row) % self.p] for u in steady], self.p) if moving else []
+        self.bounds += [([], [dot(map(number, u), moving)]) for u in steady]
         for term in of.terms:
             part = term.parts
             if term.rule == "projected":
-                x, c = projection(of, part)
-                self.bounds += [([], x), (nominal(of, part), c)]
+                nominal = minus([of.rates[x] for x in part.vector], part.correction)
+                self.bounds += [([], part.vector), (nominal, part.correction)]
             if term.role == "stored" and term in self.signs.strict:
                 self.bounds.append(([], part.vector))
             if term.rule == "potential":  # a / sqrt(1 + (a / v)^2) has the zeros of a
                 self.limits.append((over(part.vector, roots(part)), part.vector, ""))
-        for item in of.stable:  # W dz/dt = - L z + input
+        for item in of.stable:  # W dz/dt = - L z + force
             z, rate = item.vector, of.rate(item.vector)
             stable = self.signs.sign(item.weight, len(z)) == self.signs.sign(item.loss, len(z)) == 1
             if stable and of.kinds_in(item.weight) <= {"constant"} and None not in rate:
-                input = plus(weighted(item.weight, rate), weighted(item.loss, z))
-                self.bounds.append((input, z))
-                self.limits.append((input, z, ""))
+                force = plus(weighted(item.weight, rate), weighted(item.loss, z))
+                self.bounds.append((force, z))
+                self.limits.append((force, z, ""))
         for item in of.ranks:
             R = matrix(item.matrix, len(item.vector))
-            (values,) = self.sampled(item.matrix, 1)
-            if not restricted(unit(len(R)), matrix(values, len(R)), self.p):
+            values = matrix(self.sampled(item.matrix, 1)[0], len(R))
+            if not restricted(unit(len(R)), values, self.p):
                 forces = flat(product([item.vector], R))
                 self.limits.append((forces, item.vector, f"{item.name} keeps full row rank, uniformly"))
 
@@ -808,10 +726,10 @@ class Conclusions:
 
     def products(self, nodes):
         """Products of these signals, at all points, with the vectors that are orthogonal to all vanishing signals."""
-        columns = list(zip(*self.sampled(nodes, len(self.basis[0])), strict=True))
+        columns = list(zip(*self.sampled(nodes, self.count), strict=True))
         return [[dot(u, column) % self.p for column in columns] for u in self.basis]
 
-    def vanishes(self, nodes):
+    def vanish(self, nodes):
         """True if each of these is a combination of vanishing signals with constant coefficients."""
         return not any(map(any, self.products(nodes)))
 
@@ -823,89 +741,79 @@ class Conclusions:
         nodes, says, integrable = item.vector, item.says, self.among(item.vector, self.squares)
         if says != "goes to zero":
             return (says == "is square-integrable" and integrable) or (says == "is bounded" and self.bounded(nodes))
-        ends = integrable or self.among(nodes, [x for x in self.of.rate(flat(self.gone)) if x is not None])
-        return (ends and self.bounded(self.of.rate(nodes))) or self.vanishes(nodes)
+        ends = integrable or self.among(nodes, [x for x in self.of.rate(self.gone) if x is not None])
+        return (ends and self.bounded(self.of.rate(nodes))) or self.vanish(nodes)
 
     def check(self):
         """The conclusions of the file that follow."""
         shown = []
         while True:
             new = [x for x in self.wanted if x not in shown and self.follows(x)]
-            used = [x for x in self.limits if self.vanishes(x[0]) and not self.vanishes(x[1])]
+            used = [x for x in self.limits if self.vanish(x[0]) and not self.vanish(x[1])]
             for nodes in [x.vector for x in new if x.says == "goes to zero"] + [nodes for _, nodes, _ in used]:
-                self.gone.append(nodes)
+                self.gone += nodes
                 self.basis = restricted(self.basis, self.products(nodes), self.p)
             self.signs.assumed += [text for *_, text in used if text]
             shown += new
-            if not new and not used:
-                return shown
-
-
-# ---- The result ------------------------------------------------------------------------------------------------------
+            if not new + used:
+                return [f"{item.signal} {item.says}" for item in shown]
 
 
 def with_residual(of):
-    """What holds whatever the residual is: the sum of all that is dissipated is at most V at the start and its sum."""
-    word = "summable" if of.samples else "integrable"
+    """What holds whatever the residual is: all that is dissipated is in sum at most V at the start and the residual."""
     yield "V does not rise where the residual is zero"
     for term in of.terms:
         if term.role == "dissipated" and term.rule == "square":
-            yield f"{term.name} is {word} where the residual is"
+            yield f"{term.name} is {'summable' if of.samples else 'integrable'} where the residual is"
     for label, nodes in of.symbols.items() if of.samples else ():
-        if nodes and all(clipped(of, of.rates.get(x)) for x in nodes):
+        if nodes and all(clipped(of, of.rates.get(x, ZERO)) for x in nodes):
             yield f"{label} is bounded"
 
 
 def clipped(of, node):
     """True for fmin(fmax(z, lower), upper) with constants."""
-    (inner, *ends) = node.of if node is not None and node.name == "fmin" else [ZERO]
-    return inner.name == "fmax" and of.kinds_in([inner.of[1], *ends]) <= {"constant"}
+    inner, *upper = node.of if node.name == "fmin" else [ZERO]
+    return inner.name == "fmax" and of.kinds_in([inner.of[1], *upper]) <= {"constant"}
 
 
-def check(data: dict) -> dict:
-    """Result of the check, as JSON data; raises `Refused` or `Refuted`."""
-    try:
-        return checked(Certificate(data))
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, Undecided) as error:
-        raise Refused(f"no valid certificate: {type(error).__name__}: {error}") from error
+# ---- The result ------------------------------------------------------------------------------------------------------
 
 
-def checked(of):
+def proved(of):
     (error, points), signs = identity(of), Signs(of)
     if of.samples or any(term.role == "residual" for term in of.terms):
-        shown = list(with_residual(of))
+        shown = list(dict.fromkeys(with_residual(of)))
     else:
         once, again = (Conclusions(of, signs).check() for _ in range(2))  # with another prime
-        shown = [f"{item.signal} {item.says}" for item in once if item in again]
+        shown = [text for text in once if text in again]
     given, still = ([x for x, kind in of.kinds.items() if kind == own] for own in ("given", "constant"))
-    exact = given_numbers(of, Field(3))
-    some = [] if of.samples else [label for label in still if not exact.keys() >= {*of.symbols[label]}]
-    lists = {
-        "bounded": [] if of.samples else given,
-        "constant": still,
-        "conclusions are for almost all values of": some,
-    }
+    exact = {x for x, ends in of.numbers.items() if ends.lower == ends.upper}
+    some = [label for label in still if not exact >= {*of.symbols[label]}]
+    lists = {"constant": still, "bounded": given, "conclusions are for almost all values of": some}
+    texts = [f"{text}: {', '.join(x)}" for text, x in lists.items() if x and (text == "constant" or not of.samples)]
+    chain = "a chain of {} rigid bodies, whose acceleration follows from a torque of {}"
+    reads = [", ".join(sorted({x.value[0] for x in symbols(item.torque)})) for item in of.robots]
     return {
         "status": "re-proved",
         "statement": "V(next) - V" if of.samples else "dV/dt",
         "log2_error": round(error),
         "points": points,
-        "robot": [described(item) for item in of.robots],
+        "robot": [chain.format(len(item.joints), text) for item, text in zip(of.robots, reads)],
         "only_at_exact_values_of": sorted({node.value[0] for node in of.fixed}),
         "conclusions": shown,
         "not_checked": [x for x in of.stated if x not in shown],
-        "assumed": [
-            *ASSUMED,
-            *(f"{text}: {', '.join(labels)}" for text, labels in lists.items() if labels),
-            *dict.fromkeys(signs.assumed),
-            *of.assumed,
-        ],
+        "assumed": [*ASSUMED, *texts, *dict.fromkeys(signs.assumed), *of.assumed],
     }
 
 
-def described(item):
-    reads = ", ".join(sorted({x.value[0] for x in symbols(item.torque)}))
-    return f"a chain of {len(item.joints)} rigid bodies, whose acceleration follows from a torque of {reads}"
+def check(data: object) -> dict:
+    """Result of the check of a parsed file; `status` is re-proved, refuted or refused, the latter two with a reason."""
+    try:
+        return proved(Certificate(data))
+    except Refuted as error:
+        return {"status": "refuted", "reason": str(error)}
+    except (Exception, RecursionError) as error:
+        return {"status": "refused", "reason": f"{type(error).__name__}: {error}"}
 
 
 def unique(pairs):
@@ -914,27 +822,22 @@ def unique(pairs):
 
 
 def main(arguments):
-    sys.stdout.reconfigure(errors="backslashreplace")
     paths = [x for x in arguments if x != "--json"]
-    if len(paths) != 1:
-        sys.stderr.write("usage: python check.py FILE [--json]\n")
-        return 2
     try:
+        need(len(paths) == 1, "usage: python check.py FILE [--json]")
         with open(paths[0], encoding="utf-8") as file:
             content = file.read(LONGEST)
         need(len(content) < LONGEST, "the file is too long")
-        result, status = check(json.loads(content, object_pairs_hook=unique, parse_constant=rational)), 0
-    except Refuted as error:
-        result, status = {"status": "refuted", "reason": str(error)}, 1
+        result = check(json.loads(content, object_pairs_hook=unique, parse_constant=rational))
     except Exception as error:  # of a file that is no certificate
-        result, status = {"status": "refused", "reason": f"{type(error).__name__}: {error}"}, 2
+        result = {"status": "refused", "reason": f"{type(error).__name__}: {error}"}
+    sys.stdout.reconfigure(errors="backslashreplace")
     if "--json" in arguments:
         print(json.dumps(result, indent=1))
-        return status
-    for name, value in result.items():
-        lines = value if isinstance(value, list) else [value]
-        print(f"{name.replace('_', ' ')}:", *lines, sep="\n  " if isinstance(value, list) else " ")
-    return status
+    else:
+        for name, value in result.items():
+            print(f"{name.replace('_', ' ')}:", *value if isinstance(value, list) else [value], sep="\n  ")
+    return {"re-proved": 0, "refuted": 1, "refused": 2}[result["status"]]
 
 
 if __name__ == "__main__":
