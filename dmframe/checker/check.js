@@ -285,6 +285,8 @@ globalThis.checker = (() => {
     return vector.map((x, k) => (rows ? g.dot(rows[k], vector) : g.mul(weight[k], x)));
   }
 
+  const symmetric = (g, rows) => rows.map((row, i) => row.map((x, k) => g.mul(g.number([1n, 2n]), g.add(x, rows[k][i]))));
+
   function termValue(of, term) {
     const g = of.graph, { rule, vector: a, weight: w, scale: v } = term, scaled = (x) => x.map((x, k) => g.div(x, at(v, k)));
     if (rule === "square") return g.dot(a, weighted(g, w, a));
@@ -548,9 +550,9 @@ globalThis.checker = (() => {
       return values ? Math.min(1, ...values.map(([[n]]) => (n > 0n) - (n < 0n))) : -1;
     }
     // A matrix is positive definite if all pivots of its symmetric part are positive.
-    pivots(rows) {
-      const g = this.of.graph, half = g.number([1n, 2n]), found = [];
-      rows = rows.map((row, i) => row.map((x, k) => g.mul(half, g.add(x, rows[k][i]))));
+    pivots(all) {
+      const g = this.of.graph, found = [];
+      let rows = symmetric(g, all);
       while (rows.length) {
         const [first, ...rest] = rows;
         found.push(first[0]);
@@ -683,7 +685,8 @@ globalThis.checker = (() => {
       for (const item of of.stable) { // W dz/dt = - L z + force
         const [z, weight, loss] = ["vector", "weight", "loss"].map((name) => of.vector(item[name])), rate = of.rates(z), n = z.length;
         if (signs.sign(weight, n) < 1 || signs.sign(loss, n) < 1 || !of.of(weight, ["constant"]) || rate.includes(NONE)) continue;
-        const force = g.plus(weighted(g, weight, rate), weighted(g, loss, z));
+        const metric = weight.length === n ? weight : symmetric(g, matrix(weight, n)).flat();
+        const force = g.plus(weighted(g, metric, rate), weighted(g, loss, z));
         bounds.push([force, z]);
         sources.push([force, z]);
       }
@@ -713,9 +716,9 @@ globalThis.checker = (() => {
       const shown = [], { of } = this;
       for (;;) {
         const found = this.wanted.filter((x) => !shown.includes(x) && this.follows(x.says, of.vector(x.vector)));
+        const used = this.sources.filter(([premise, nodes]) => this.made(premise) && !this.made(nodes));
         for (const x of found) if (x.says === "goes to zero") this.vanish(of.vector(x.vector));
         shown.push(...found);
-        const used = this.sources.filter(([premise, nodes]) => this.made(premise) && !this.made(nodes));
         for (const [, nodes, text] of used) {
           this.vanish(nodes);
           if (text) this.signs.assumed.push(text);

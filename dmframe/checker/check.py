@@ -258,9 +258,19 @@ def weighted(weight, vector):
     return times(weight, vector) if len(weight) == n else each(lambda row: dot(row, vector), matrix(weight, n))
 
 
+def symmetric(weight, n):
+    """The symmetric part of a matrix; a diagonal is its own."""
+    rows = matrix(weight, n)
+    return (
+        weight
+        if len(weight) == n
+        else [HALF * (x + y) for own in zip(rows, zip(*rows), strict=True) for x, y in zip(*own)]
+    )
+
+
 def pivots(rows):
-    """Pivots of the symmetric part of a matrix by elimination: they are positive if that part is positive definite."""
-    rows, found = [[HALF * (x + y) for x, y in zip(*both)] for both in zip(rows, zip(*rows), strict=True)], []
+    """Pivots of a symmetric matrix by elimination: they are positive if and only if the matrix is positive definite."""
+    found = []
     while rows:
         (pivot, *first), *rest = rows
         found.append(pivot)
@@ -593,7 +603,8 @@ class Signs:
 
     def sign(self, nodes, size=0):
         """1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided."""
-        values = self.intervals(pivots(matrix(nodes, size)) if size > 1 and len(nodes) == size * size else nodes)
+        is_matrix = size > 1 and len(nodes) == size * size
+        values = self.intervals(pivots(matrix(symmetric(nodes, size), size)) if is_matrix else nodes)
         least = -1 if values is None else min((x.lower for x in values), default=1)
         return (least > 0) - (least < 0)
 
@@ -603,9 +614,8 @@ class Signs:
         if term.assumed and self.intervals(part.weight) is None:
             self.assumed.append(f"{term.name}: its weight is uniformly positive: {term.assumed}")
             sign = 1
-        if "scale" in vars(part):
-            sign = min(sign, 2 * self.sign(part.scale) - 1)
-        need(sign >= 0, f"{term.name}: the sign of its weight is wrong, or not shown", Refuted)
+        scaled = "scale" not in vars(part) or self.sign(part.scale) == 1
+        need(sign >= 0 and scaled, f"{term.name}: the sign of its weight or scale is wrong, or not shown", Refuted)
         self.strict += [term] * (sign == 1)
         if term.rule == "projected":
             self.box(term)
@@ -683,7 +693,7 @@ class Conclusions:
             z, rate = item.vector, of.rate(item.vector)
             stable = self.signs.sign(item.weight, len(z)) == self.signs.sign(item.loss, len(z)) == 1
             if stable and of.kinds_in(item.weight) <= {"constant"} and None not in rate:
-                force = plus(weighted(item.weight, rate), weighted(item.loss, z))
+                force = plus(weighted(symmetric(item.weight, len(z)), rate), weighted(item.loss, z))
                 self.bounds.append((force, z))
                 self.limits.append((force, z, ""))
         for item in of.ranks:
