@@ -268,18 +268,15 @@ class _Writer:
             if labels and symbols_of(of).vanishes("motion", moved + rotors * ddq - torque, trials=1):
                 own = {"rotors": rotors, "gravity": share * robot.gravity, "torque": torque}
                 own = {key: self._vector(f"{name}: {key}", x) for key, x in own.items()}
-                yield {"position": labels[0], "joints": list(self._joints(robot)), **own}
+                yield {"position": labels[0], "joints": list(self._joints(robot, q)), **own}
 
-    def _joints(self, robot: Any) -> Iterator[dict[str, Any]]:
-        """Joints with their places in the body before, and the pseudo-inertias of their bodies."""
+    def _joints(self, robot: Any, q: SX) -> Iterator[dict[str, Any]]:
+        """Joints with the transforms of their bodies, [R r] at q, and the bodies' pseudo-inertias."""
         rows = ca.vertsplit(robot.inertia, len(INERTIAL))
-        for joint, (R, axis), r, body in zip(robot.chain.joints, *robot.placements, rows, strict=True):
+        for joint, link, body in zip(robot.chain.joints, robot.links(q), rows, strict=True):
             S = pseudo_inertia(ca.vertsplit(body))
-            own = {
-                "axis": axis,
-                "place": ca.horzcat(R, r),
-                "body": ca.vertcat(*(S[i][k] for i in range(4) for k in range(i + 1))),
-            }
+            lower = ca.vertcat(*(S[i][k] for i in range(4) for k in range(i + 1)))
+            own = {"axis": link.axis, "place": ca.horzcat(link.rotation, link.offset), "body": lower}
             yield {"kind": joint.kind, **{key: self._vector(f"{joint.name}: {key}", x) for key, x in own.items()}}
 
     def _ranks(self) -> Iterator[dict[str, Any]]:

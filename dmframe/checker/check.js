@@ -334,8 +334,8 @@ globalThis.checker = (() => {
   // rate of T and C its acceleration less gravity, the force of joint j is sum_i tr(U_j S C'), by d'Alembert's principle.
   function robot(of, item) {
     const g = of.graph, q = of.inputs(item.position), n = q.length, [rotors, gravity, torque] = ["rotors", "gravity", "torque"].map((name) => of.vector(item[name]));
-    const dq = of.exactRates(q), ddq = of.exactRates(dq), found = [["a rotor", of.exactRates(rotors)]];
-    need(n && item.joints.length === n && rotors.length === n && gravity.length === 3, "size");
+    const dq = of.exactRates(q), ddq = of.exactRates(dq), found = [];
+    need(n && of.of(rotors, ["constant"]) && item.joints.length === n && rotors.length === n && gravity.length === 3, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
     const rows = (column) => [0, 1, 2].map((i) => [0, 1, 2, 3].map((j) => (column ? (j === 3 ? g.neg(column[i]) : ZERO) : i === j ? ONE : ZERO)));
@@ -362,15 +362,12 @@ globalThis.checker = (() => {
     const P = matrix(place, 3), R = P.map((row) => row.slice(0, 3)), dots = (X, Y) => X.flatMap((x, i) => Y.map((y, j) => g.sub(g.dot(x, y), i === j ? ONE : ZERO)));
     const minor = (k, [i, j] = [(k + 1) % 3, (k + 2) % 3]) => g.sub(g.mul(R[0][i], R[1][j]), g.mul(R[0][j], R[1][i]));
     const K = turns ? [[ZERO, g.neg(z), y, ZERO], [z, ZERO, g.neg(x), ZERO], [g.neg(y), x, ZERO, ZERO]] : a.map((e) => [ZERO, ZERO, ZERO, e]);
-    const c = g.call("cos", q), s = g.call("sin", q), moved = [0, 1, 2, 3].map((i) => [0, 1, 2, 3].map((j) => (i === j ? ONE : ZERO)));
-    a.forEach((e, i) => {
-      if (turns) a.forEach((f, j) => { moved[i][j] = g.add(g.add(i === j ? c : ZERO, g.mul(s, K[i][j])), g.mul(g.sub(ONE, c), g.mul(e, f))); });
-      else moved[i][3] = g.mul(q, e);
-    });
-    const last = [ZERO, ZERO, ZERO, ONE];
+    K.push(Array(4).fill(ZERO));
+    need(of.of(g.replaced(place, (k) => (k === q ? ZERO : k)), ["constant"]) && of.of([...a, ...body], ["constant"]), "a joint");
+    const A = [...P, [ZERO, ZERO, ZERO, ONE]], slopes = g.rates(P.flat(), (k) => (k === q ? ONE : ZERO), new Map());
     return {
-      A: [...g.matmul([...P, last], moved).slice(0, 3), last], K: [...K, Array(4).fill(ZERO)], S: pseudo(body),
-      zeros: [["a rotation and an axis", [...dots(R, R), ...dots([a], [a]), ...R[2].map((x, k) => g.sub(x, minor(k)))]], ["the rates of a body", of.exactRates([...place, ...a, ...body])]],
+      A, K, S: pseudo(body),
+      zeros: [["a rotation and an axis", [...dots(R, R), ...dots([a], [a]), ...R[2].map((x, k) => g.sub(x, minor(k)))]], ["a joint's motion", g.minus(slopes, g.matmul(P, K).flat())]],
     };
   }
   const pseudo = (body) => [0, 1, 2, 3].map((i) => [0, 1, 2, 3].map((k) => at(body, Math.max(i, k) * (Math.max(i, k) + 1) / 2 + Math.min(i, k))));

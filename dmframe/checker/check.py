@@ -28,17 +28,12 @@ UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
 BINARY = set("add sub mul div fmin fmax lt le eq and if_else_zero atan2".split())
 BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
 KINDS = {"constant", "given", "time", "state", "correction"}
-ROLES = {
-    "stored": {"square", "potential"},
-    "dissipated": {"square", "tanh", "atan", "projected"},
-    "residual": {"square"},
-}
-PARTS = {  # of a rule's terms
-    "square": "vector weight",
-    "potential": "vector scale weight",
-    "tanh": "vector other scale weight",
-    "atan": "vector other scale weight",
-    "projected": "vector correction true lower upper weight",
+RULES = {  # of terms: their roles, and their parts
+    "square": ("stored dissipated residual", "vector weight"),
+    "potential": ("stored", "vector scale weight"),
+    "tanh": ("dissipated", "vector other scale weight"),
+    "atan": ("dissipated", "vector other scale weight"),
+    "projected": ("dissipated", "vector correction true lower upper weight"),
 }
 ASSUMED = [
     "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
@@ -54,18 +49,12 @@ class Refuted(Exception):
     """A statement of the file is wrong, or its data do not show it."""
 
 
-class Undecided(Exception):
-    """These intervals do not decide."""
-
-
 def need(condition, text, fault=Refused):
     if not condition:
         raise fault(text)
 
 
 # ---- Expressions -----------------------------------------------------------------------------------------------------
-
-
 class Node:
     """A number, a symbol (value: its label and element), or an operation or function of other nodes."""
 
@@ -156,6 +145,11 @@ def rates(nodes, moves, found):
     return evaluate(nodes, call, found)
 
 
+def slopes(nodes, symbol):
+    """Derivatives by one symbol."""
+    return rates(nodes, lambda node: ONE if node is symbol else ZERO, {})
+
+
 class Field:
     """Values modulo a prime. A function has a random value for each argument: what holds for all values holds for those
     of the function. sin and cos of one argument are a random point of the unit circle. If `frozen`, a bounded function
@@ -187,12 +181,14 @@ class Field:
 
 
 class Interval:
-    """A rational interval, which contains all values over the intervals of the symbols."""
+    """A rational interval, which contains all values over the intervals of the symbols. Where these do not decide, an
+    ArithmeticError is raised.
+    """
 
     def __init__(self, lower, upper):
         self.lower, self.upper = lower, upper
         size = max(x.numerator.bit_length() + x.denominator.bit_length() for x in (lower, upper))
-        need(size < LARGEST, "a number is too long", Undecided)
+        need(size < LARGEST, "a number is too long", ArithmeticError)
 
     def __add__(self, other):
         return Interval(self.lower + other.lower, self.upper + other.upper)
@@ -210,17 +206,15 @@ class Interval:
             return Interval(node.value, node.value)
         if node.name in ARITHMETIC:
             return ARITHMETIC[node.name](*given)
-        need(node.name in ("fabs", "inv"), "a symbol or a function without an interval", Undecided)
+        need(node.name in ("fabs", "inv"), "a symbol or a function without an interval", ArithmeticError)
         (a,) = given
         if node.name == "fabs":
             return Interval(max(a.lower, -a.upper, Fraction(0)), max(-a.lower, a.upper))
-        need(a.lower > 0 or a.upper < 0, "a divisor may vanish", Undecided)
+        need(a.lower > 0 or a.upper < 0, "a divisor may vanish", ArithmeticError)
         return Interval(1 / a.upper, 1 / a.lower)
 
 
 # ---- Vectors and matrices --------------------------------------------------------------------------------------------
-
-
 def each(function, *vectors):
     """A function of the elements of vectors of one size."""
     return [function(*elements) for elements in zip(*vectors, strict=True)]
@@ -279,8 +273,6 @@ def pivots(rows):
 
 
 # ---- The file --------------------------------------------------------------------------------------------------------
-
-
 def read(value, shape):
     """A value of a shape: an object with these keys, a list, (shape,) or null, one of a set, a type, or a function."""
     if isinstance(shape, dict):
@@ -387,10 +379,10 @@ class Certificate:
         return dict(flat(zip(self.symbols[label], self.vector(k), strict=True) for label, k in value.items()))
 
     def read_term(self, value):
-        role, rule = value["role"], value["rule"]
-        need(role in ROLES and rule in ROLES[role], f"unknown rule {rule!r:.20} of a {role!r:.20} term")
-        parts = dict.fromkeys(PARTS[rule].split(), self.vector)
-        return read(value, {"name": str, "role": {role}, "rule": {rule}, "parts": parts, "assumed": (str,)})
+        need(value["rule"] in RULES, f"unknown rule {value['rule']!r:.20}")
+        roles, parts = (text.split() for text in RULES[value["rule"]])
+        parts = dict.fromkeys(parts, self.vector)
+        return read(value, {"name": str, "role": {*roles}, "rule": str, "parts": parts, "assumed": (str,)})
 
     def vector(self, k):
         return at(self.vectors, k)
@@ -421,8 +413,6 @@ class Certificate:
 
 
 # ---- Terms and the robot ---------------------------------------------------------------------------------------------
-
-
 def term_value(of, term):
     """The sum over the elements of one rule."""
     part, a, w = term.parts, term.parts.vector, term.parts.weight
@@ -456,43 +446,36 @@ def correction(of, part):
 def robot(of, item):
     """Names, and nodes that must vanish: the accelerations of a chain of rigid bodies follow from the torque.
 
-    `place` is [R r], the rotation and the origin of a joint in the frame of the body before it. T_i places body i in
-    the world, and S_i is the integral of r r' dm over its points r = (x, y, z, 1). By d'Alembert's principle, the force
-    of joint j is sum_i tr(dT_i/dq_j S_i (d2T_i/dt2 - gravity)').
+    `place` is A = [R r], the rotation and the origin of a body in the frame of the one before it. A joint moves it with
+    dA/dq = A K, where K is that of its axis. T_i places body i in the world, and S_i is the integral of r r' dm over its
+    points r = (x, y, z, 1). By d'Alembert's principle, the force of joint j is
+    sum_i tr(dT_i/dq_j S_i (d2T_i/dt2 - gravity)').
     """
-    q, T, frames = of.symbols[item.position], unit(4, ZERO, ONE), []
+    q, T, frames, last = of.symbols[item.position], unit(4, ZERO, ONE), [], [ZERO, ZERO, ZERO, ONE]
     for joint, x in zip(item.joints, q, strict=True):
-        first, second, third = (row[:3] for row in matrix(joint.place, 3))
-        norms = [dot(a, a) - ONE for a in (first, second, joint.axis)]
+        still = symbols([*joint.place, *joint.axis, *joint.body, *item.rotors]) - {x}
+        need({of.kind(node) for node in still} <= {"constant"}, "a joint or a body that moves by itself")
+        A, (a, b, c) = [*matrix(joint.place, 3), last], joint.axis
+        first, second, third = (row[:3] for row in A[:3])
+        norms = [dot(u, u) - ONE for u in (first, second, joint.axis)]
         cross = [first[k - 2] * second[k - 1] - first[k - 1] * second[k - 2] for k in range(3)]
         yield "a joint's rotation and axis", [*norms, dot(first, second), *minus(cross, third)]
-        yield "the rates of a joint and its body", of.sure_rate([*joint.place, *joint.axis, *joint.body])
-        T = product(T, placed(joint, x))
+        K = [[ZERO, ZERO - c, b, ZERO], [c, ZERO, ZERO - a, ZERO], [ZERO - b, a, ZERO, ZERO]]
+        if joint.kind == "prismatic":
+            K = [[ZERO, ZERO, ZERO, u] for u in joint.axis]
+        moved = flat(product(A[:3], [*K, [ZERO] * 4]))
+        yield "a joint's motion", minus(slopes(flat(A[:3]), x), moved)
+        T = product(T, A)
         frames.append(flat(T[:3]))
-    yield "the rates of the rotors", of.sure_rate(item.rotors)
     falls = flat([ZERO, ZERO, ZERO, g] for g in item.gravity)
     accelerations = [minus(of.sure_rate(of.sure_rate(T)), falls) for T in frames]
     for x, ddx, rotor, torque in zip(q, of.sure_rate(of.sure_rate(q)), item.rotors, item.torque, strict=True):
         force = rotor * ddx - torque
         for joint, T, acceleration in zip(item.joints, frames, accelerations):
-            slope = rates(T, lambda node, x=x: ONE if node is x else ZERO, {})
+            slope = slopes(T, x)
             momentum = product([slope[k : k + 4] for k in (0, 4, 8)], pseudo_inertia(joint))
             force += dot(flat(momentum), acceleration)
         yield "the robot's equation of motion", [force]
-
-
-def placed(joint, x):
-    """Transform from the frame of the body before a joint to that of its body."""
-    turn, shift, (a, b, c) = unit(3, ZERO, ONE), [ZERO] * 3, joint.axis
-    if joint.kind == "prismatic":
-        shift = [x * a, x * b, x * c]
-    else:  # cos 1 + sin [axis]x + (1 - cos) axis axis'
-        cos, sin = Node("cos", x), Node("sin", x)
-        skew = [[ZERO, ZERO - c, b], [c, ZERO, ZERO - a], [ZERO - b, a, ZERO]]
-        outer = product([[a], [b], [c]], [[a, b, c]])
-        turn = [each(lambda e, s, o: cos * e + sin * s + (ONE - cos) * o, *rows) for rows in zip(turn, skew, outer)]
-    last = [ZERO, ZERO, ZERO, ONE]
-    return product([*matrix(joint.place, 3), last], [*([*row, d] for row, d in zip(turn, shift)), last])
 
 
 def pseudo_inertia(joint):
@@ -501,8 +484,6 @@ def pseudo_inertia(joint):
 
 
 # ---- The identity ----------------------------------------------------------------------------------------------------
-
-
 def equalities(of):
     """Names, and nodes that must vanish; the first one is V, which must not."""
     V, total, found = ZERO, ZERO, flat(robot(of, item) for item in of.robots)
@@ -573,8 +554,6 @@ def with_numbers(of, field):
 
 
 # ---- Signs and conditions --------------------------------------------------------------------------------------------
-
-
 class Signs:
     """Signs over the intervals of constants, and of states in boxes. `assumed` collects what they do not show, `strict`
     contains the terms with a positive weight.
@@ -598,7 +577,7 @@ class Signs:
         """Intervals of nodes; None if they depend on more than these, or on a function."""
         try:
             return evaluate(nodes, Interval.call, dict(self.known))
-        except Undecided:
+        except ArithmeticError:
             return None
 
     def sign(self, nodes, size=0):
@@ -635,8 +614,6 @@ class Signs:
 
 
 # ---- Conclusions -----------------------------------------------------------------------------------------------------
-
-
 def restricted(basis, slopes, p):
     """The directions in the span of a basis along which all functionals vanish; slopes[k] are theirs along basis[k]."""
     rows, n = [[*u, *own] for u, own in zip(basis, slopes, strict=True)], len(basis[0]) if basis else 0
@@ -787,8 +764,6 @@ def clipped(of, node):
 
 
 # ---- The result ------------------------------------------------------------------------------------------------------
-
-
 def proved(of):
     (error, points), signs = identity(of), Signs(of)
     if of.samples or any(term.role == "residual" for term in of.terms):

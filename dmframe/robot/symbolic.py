@@ -342,11 +342,6 @@ class SymbolicRobot:
     def _offsets(self, a_k: Any) -> list[Any]:
         return list(ca.vertsplit(self.a_k if a_k is None else a_k, 3))
 
-    @property
-    def placements(self) -> tuple[list[tuple[Any, Any]], list[Any]]:
-        """Rotation and axis of each joint at q = 0, SX (3, 3) and SX (3), and its translation, SX (3)."""
-        return self._placements, self._offsets(None)[:-1]
-
     def links(self, q: Any, a_k: Any = None) -> list[Link]:
         """Transforms of the joints at q: rotation about the exact axis a, R = a a' + cos q (I - a a') + sin q [a]."""
         links = []

@@ -40,7 +40,10 @@ def holes() -> Iterator[Attack]:
         data["robots"][0]["joints"][0]["axis"] = constant(data, "0", "0", "0")
 
     def reflected(data: dict[str, Any]) -> None:
-        data["robots"][0]["joints"][1]["place"] = constant(data, "-1", *"00010001000")
+        joint = data["robots"][0]["joints"][1]
+        place = data["vectors"][joint["place"]]
+        joint["place"] = replaced(data, joint["place"])
+        data["vectors"][-1][3:] = place[3:]
 
     yield "5 a joint without an axis", _of("arm2_joint", axis), "refuted"
     yield "5 a reflection", _of("arm2_joint", reflected), "refuted"
