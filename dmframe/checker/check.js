@@ -310,9 +310,10 @@ globalThis.checker = (() => {
     const g = of.graph;
     if (of.samples) return g.minus(g.pairs("fmin", g.pairs("fmax", vector, lower), upper), vector);
     need(vector.every((k) => of.kind(k) === "state") && correction.every((k) => of.kind(k) === "correction"), "a projection");
-    const rates = vector.map((k) => of.next(k));
-    return g.minus(rates, g.replaced(rates, (k) => (correction.includes(k) ? ZERO : k)));
+    return g.minus(vector.map((k) => of.next(k)), nominal(of, vector, correction));
   }
+  // Rates of estimates without the corrections of their projection.
+  const nominal = (of, vector, correction) => of.graph.replaced(vector.map((k) => of.next(k)), (k) => (correction.includes(k) ? ZERO : k));
 
   // Names and nodes that must vanish; the first one is V, which must not.
   function equalities(of) {
@@ -628,7 +629,7 @@ globalThis.checker = (() => {
           given.set(k, String(low) === String(high) ? first.residue(low) : first.random());
         }
       }
-      this.columns = of.symbols.filter((item) => ["state", "time", "correction"].includes(item.kind)).flatMap((item) => of.inputs(item.label));
+      this.columns = of.symbols.filter((item) => ["state", "time"].includes(item.kind)).flatMap((item) => of.inputs(item.label));
       this.open = units(this.columns.length);
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
       this.inverse = (x) => first.inverse(x);
@@ -636,8 +637,9 @@ globalThis.checker = (() => {
       this.wanted = of.conclusions.filter((item) => item.vector !== null && of.vector(item.vector).length);
       this.bounds = [];
       this.sources = [];
+      this.loose = new Set(of.symbols.filter((item) => item.kind === "correction").flatMap((item) => of.inputs(item.label)));
       this.premises();
-      while (this.bounds.map(([given, nodes]) => this.bounded(given) && this.grow(nodes)).some((x) => x));
+      while (this.bounds.map(([given, nodes]) => this.bounded(given) && !this.bounded(nodes) && this.grow(nodes)).some((x) => x));
       this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => of.vector(x.vector)), ...this.sources.map((x) => x[1])].flat().length;
       this.basis = units(this.count);
     }
@@ -655,7 +657,7 @@ globalThis.checker = (() => {
     }
     bounded(nodes) {
       const weights = this.open.map(() => below(this.p, this.size)), u = this.columns.map((_, k) => this.dot(weights, this.open.map((x) => x[k])));
-      return !nodes.includes(NONE) && !this.along(nodes, u).some((x) => x);
+      return !nodes.includes(NONE) && !this.g.slice(nodes).some((k) => this.loose.has(k)) && !this.along(nodes, u).some((x) => x);
     }
     restrict(slopes) {
       const before = this.open.length;
@@ -663,6 +665,7 @@ globalThis.checker = (() => {
       return this.open.length < before;
     }
     grow(nodes) {
+      if (this.loose.has(nodes[0])) return nodes.map((k) => this.loose.delete(k)).length > 0;
       const [one, other] = [0, 1].map((place) => this.open.map((u) => this.along(nodes, u, place)));
       return this.restrict(one.map((row) => row.filter((_, k) => one.every((x, i) => x[k] === other[i][k]))));
     }
@@ -675,7 +678,7 @@ globalThis.checker = (() => {
       this.restrict(this.open.map((u) => steady.map((x) => this.dot(x, moving.map((k) => u[columns.indexOf(k)])))));
       for (const term of of.terms) {
         const { rule, role, vector: a, correction } = term;
-        if (rule === "projected") bounds.push([[], a], [g.minus(a.map((k) => of.next(k)), correction), correction]);
+        if (rule === "projected") bounds.push([[], a], [nominal(of, a, correction), correction]);
         if (role === "stored" && strict.has(term)) bounds.push([[], a]);
         if (rule === "potential") sources.push([a.map((x, k) => g.div(x, root(g, x, term.scale[k]))), a]); // it has the zeros of a
       }

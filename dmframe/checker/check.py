@@ -439,17 +439,21 @@ def correction(of, part):
         return minus(each(clip, part.vector, part.lower, part.upper), part.vector)
     symbol = {("symbol", "state"), ("symbol", "correction")}
     need({(x.name, of.kind(x)) for x in part.vector + part.correction} == symbol, "a projection: expected symbols")
-    rate = [of.rates[x] for x in part.vector]
-    return minus(rate, replaced(rate, dict.fromkeys(part.correction, ZERO)))
+    return minus([of.rates[x] for x in part.vector], nominal(of, part))
+
+
+def nominal(of, part):
+    """Rates of estimates without the corrections of their projection."""
+    return replaced([of.rates[x] for x in part.vector], dict.fromkeys(part.correction, ZERO))
 
 
 def robot(of, item):
     """Names, and nodes that must vanish: the accelerations of a chain of rigid bodies follow from the torque.
 
-    `place` is A = [R r], the rotation and the origin of a body in the frame of the one before it. A joint moves it with
-    dA/dq = A K, where K is that of its axis. T_i places body i in the world, and S_i is the integral of r r' dm over its
-    points r = (x, y, z, 1). By d'Alembert's principle, the force of joint j is
-    sum_i tr(dT_i/dq_j S_i (d2T_i/dt2 - gravity)').
+    `place` is A = [R r], the rotation and the origin of a body in the frame of the one before. Its joint moves it with
+    dA/dq = A K, where K is that of the axis. T_i places body i in the world, and S_i is the integral of r r' dm over
+    its points r = (x, y, z, 1). By d'Alembert's principle, the force of joint j is sum_i tr(dT_i/dq_j S_i (d2T_i/dt2 -
+    gravity)').
     """
     q, T, frames, last = of.symbols[item.position], unit(4, ZERO, ONE), [], [ZERO, ZERO, ZERO, ONE]
     for joint, x in zip(item.joints, q, strict=True):
@@ -630,24 +634,26 @@ def restricted(basis, slopes, p):
 class Conclusions:
     """Bounded and vanishing signals, if V does not increase and given signals, with their rates, are bounded.
 
-    A direction of the space of states, time and corrections of projections is open if no bounded signal determines it.
-    With all bounded functions frozen, a signal that does not change along a random open direction is bounded; a bounded
-    signal that changes at a constant rate closes a direction. Constants have the numbers of the file.
+    A direction of the space of states and time is open if no bounded signal determines it. With all bounded functions
+    frozen, a signal that does not change along a random open direction is bounded; a bounded signal that changes at a
+    constant rate closes a direction. `loose` are corrections that may be unbounded. Constants have the file's numbers.
     """
 
     def __init__(self, of, signs):
         self.of, self.signs, self.p, self.points, self.gone = of, signs, random_prime(SIZES[0]), [], []
         field, elements = Field(self.p), flat(of.symbols.values())
-        self.columns = [x for x in elements if of.kind(x) in ("state", "time", "correction")]
+        self.columns = [x for x in elements if of.kind(x) in ("state", "time")]
+        self.loose = {x for x in elements if of.kind(x) == "correction"}
         self.given = {x: field.random(x) for x in elements if of.kind(x) == "constant"} | with_numbers(of, field)
         self.places = [(Field(self.p, frozen=True), dict(self.given)) for _ in range(2)]
         self.squares = flat(x.parts.vector for x in signs.strict if (x.role, x.rule) == ("dissipated", "square"))
         self.wanted = [x for x in of.conclusions if x.vector]
-        self.bounds, self.limits, self.open = [], [], unit(len(self.columns))
+        self.limits, self.open = [], unit(len(self.columns))
         self.premises()
-        while sum([self.bounded(given) and self.close(nodes) for given, nodes in self.bounds]):
+        while sum([self.bounded(x) and not self.bounded(y) and self.close(y) for x, y in self.bounds]):
             pass
-        self.count = 4 + sum(len(x.vector) for x in self.wanted) + sum(len(nodes) for _, nodes, _ in self.limits)
+        ends = [x.vector for x in self.wanted if x.says == "goes to zero"] + [nodes for _, nodes, _ in self.limits]
+        self.count = 4 + sum(map(len, ends))
         self.basis = unit(self.count)
 
     def premises(self):
@@ -656,12 +662,11 @@ class Conclusions:
         steady = unit(len(moving))  # combinations of states whose rate is identically zero
         for row in self.sampled([of.rates[x] for x in moving], len(moving) + 3):
             steady = restricted(steady, [[dot(u, row) % self.p] for u in steady], self.p) if moving else []
-        self.bounds += [([], [dot(map(number, u), moving)]) for u in steady]
+        projected = [x.parts for x in of.terms if x.rule == "projected"]
+        self.bounds = [([], x.vector) for x in projected] + [([], [dot(map(number, u), moving)]) for u in steady]
+        self.bounds += [(nominal(of, x), x.correction) for x in projected]
         for term in of.terms:
             part = term.parts
-            if term.rule == "projected":
-                nominal = minus([of.rates[x] for x in part.vector], part.correction)
-                self.bounds += [([], part.vector), (nominal, part.correction)]
             if term.role == "stored" and term in self.signs.strict:
                 self.bounds.append(([], part.vector))
             if term.rule == "potential":  # a / sqrt(1 + (a / v)^2) has the zeros of a
@@ -690,15 +695,16 @@ class Conclusions:
     def bounded(self, nodes):
         weights = [secrets.randbelow(self.p) for _ in self.open]
         u = [dot(weights, column) % self.p for column in zip(*self.open)] if weights else [0] * len(self.columns)
-        return None not in nodes and not any(self.along(nodes, 0, u))
+        return None not in nodes and not symbols(nodes) & self.loose and not any(self.along(nodes, 0, u))
 
     def close(self, nodes):
         """Closes directions along which bounded signals change at a constant rate; True if there was one."""
         one, other = ([self.along(nodes, k, u) for u in self.open] for k in (0, 1))
         steady = [k for k in range(len(nodes)) if all(a[k] == b[k] for a, b in zip(one, other, strict=True))]
-        before = len(self.open)
+        before = len(self.open) + len(self.loose)
         self.open = restricted(self.open, [[row[k] for k in steady] for row in one], self.p)
-        return len(self.open) < before
+        self.loose -= {*nodes}
+        return len(self.open) + len(self.loose) < before
 
     def sampled(self, nodes, count):
         """Values at random points, with the file's constants."""

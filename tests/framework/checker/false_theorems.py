@@ -171,7 +171,7 @@ def _bodies() -> Iterator[Attack]:
     file.data["rates"] |= {"q": file.vector(v), "v": file.vector(a)}
     one = file.number("1")
     body = file.vector(one, -1, one, -1, -1, one, -1, -1, -1, m)
-    place = file.vector(one, -1, -1, -1, one, -1, -1, -1, one, -1, -1, -1)
+    place = file.vector(one, -1, -1, -1, one, -1, -1, -1, one, -1, -1, x)
     joint = {"kind": "prismatic", "axis": file.vector(-1, -1, one), "place": place, "body": body}
     own = {"rotors": file.vector(-1), "gravity": file.vector(-1, -1, -1)}
     torque = file.vector(file.instruction("mul", m, a))
