@@ -215,6 +215,8 @@ globalThis.checker = (() => {
       }));
       this.terms = this.terms.map((item) => this.readTerm(item));
       this.derivatives = new Map();
+      const moved = this.terms.flatMap((item) => item.correction ?? []);
+      need(this.samples || new Set(moved).size === moved.length, "a correction occurs twice");
       need(this.terms.some((item) => item.role === "stored"), "V");
     }
     readSymbol({ label, kind, size, numbers, exact }) {

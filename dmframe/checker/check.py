@@ -255,11 +255,8 @@ def weighted(weight, vector):
 def symmetric(weight, n):
     """The symmetric part of a matrix; a diagonal is its own."""
     rows = matrix(weight, n)
-    return (
-        weight
-        if len(weight) == n
-        else [HALF * (x + y) for own in zip(rows, zip(*rows), strict=True) for x, y in zip(*own)]
-    )
+    pairs = zip(rows, zip(*rows), strict=len(weight) != n)
+    return weight if len(weight) == n else [HALF * (x + y) for pair in pairs for x, y in zip(*pair)]
 
 
 def pivots(rows):
@@ -332,6 +329,8 @@ class Certificate:
         flow = self.robots or self.stable or self.ranks or {x.rule for x in self.terms} - {"square", "projected"}
         need(not (self.samples and flow), "a rule that is unknown over a sample")
         need(any(term.role == "stored" for term in self.terms), "V has no term")
+        corrections = [x for term in self.terms if term.rule == "projected" for x in term.parts.correction]
+        need(self.samples or len({*corrections}) == len(corrections), "a correction occurs twice")
         self.stated = [f"{item.signal} {item.says}" for item in self.conclusions]
         need(len({*self.stated}) == len(self.stated), "a conclusion occurs twice")
         for node, rate in self.rates.items():
@@ -435,8 +434,8 @@ def roots(part):
 def correction(of, part):
     """What a projection adds to the rates of estimates; over samples, what moves values into their box."""
     if of.samples:
-        clip = lambda x, low, high: Node("fmin", Node("fmax", x, low), high)  # noqa: E731
-        return minus(each(clip, part.vector, part.lower, part.upper), part.vector)
+        box = part.vector, part.lower, part.upper
+        return minus(each(lambda x, low, high: Node("fmin", Node("fmax", x, low), high), *box), part.vector)
     symbol = {("symbol", "state"), ("symbol", "correction")}
     need({(x.name, of.kind(x)) for x in part.vector + part.correction} == symbol, "a projection: expected symbols")
     return minus([of.rates[x] for x in part.vector], nominal(of, part))

@@ -48,6 +48,15 @@ def holes() -> Iterator[Attack]:
     yield "5 a joint without an axis", _of("arm2_joint", axis), "refuted"
     yield "5 a reflection", _of("arm2_joint", reflected), "refuted"
 
+    file = File()
+    correction = file.symbol("correction", "correction")
+    for label in "ab":
+        state = file.symbol(label, "state")
+        file.data["rates"][label] = file.vector(correction)
+        file.term("stored", file.vector(state), file.vector(file.number("1")))
+        file.projected(state, correction, "-1", "1")
+    yield "6 a correction of two estimates", file.data, "refused"
+
     file = stable()
     file.projected(file.instruction("add", 0, 0), file.symbol("x, correction", "correction"), "-1", "1")
     yield "6 a projection of values in continuous time", file.data, "refused"

@@ -362,14 +362,21 @@ def test_intervals_and_pivots_decide_signs() -> None:
     check = checker()
     F, interval = check.Fraction, check.Interval
 
-    def exact(*values: int) -> list[Any]:
-        return [interval(F(x), F(x)) for x in values]
-
     a = interval(F(-1), F(2))
     assert ((a * a).lower, (a * a).upper) == (0, 4)
     assert ((a * interval(F(3), F(4))).lower, (a * interval(F(3), F(4))).upper) == (-4, 8)
-    with pytest.raises(check.Undecided):
-        a.inverse()
-    assert check.definite([exact(2, 1), exact(1, 1)])
-    assert not check.definite([exact(1, 2), exact(2, 1)])
-    assert not check.definite([[interval(F(1), F(2)), *exact(1)], exact(1, 1)])
+    with pytest.raises(ArithmeticError):
+        interval.call(check.Node("inv", check.ONE), a)
+    for elements, positive in (
+        ((2, 1, 1, 1), True),
+        ((1, 2, 2, 1), False),
+        ((1, 4, 0, 1), False),
+        ((2, 2, 0, 1), True),
+    ):
+        rows = check.matrix(check.symmetric([check.number(x) for x in elements], 2), 2)
+        values = check.evaluate(check.pivots(rows), interval.call, {})
+        assert (min(x.lower for x in values) > 0) == positive
+    one, between = check.Node("symbol", value=("one", 0)), check.Node("symbol", value=("between", 0))
+    rows = [[between, one], [one, check.ONE]]
+    known = {one: interval(F(1), F(1)), between: interval(F(1), F(2))}
+    assert min(x.lower for x in check.evaluate(check.pivots(rows), interval.call, known)) == 0
