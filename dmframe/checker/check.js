@@ -735,7 +735,7 @@ globalThis.checker = (() => {
     }
   }
 
-  // What holds whatever the residual is: all that is dissipated is in sum at most V at the start and the residual.
+  // What holds for any residual: all that is dissipated is in sum at most V at the start and the residual.
   function* withResidual(of) {
     const g = of.graph, clipped = (k) => {
       if (g.name(k) !== "fmin") return false;

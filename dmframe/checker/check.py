@@ -752,7 +752,7 @@ class Conclusions:
 
 
 def with_residual(of):
-    """What holds whatever the residual is: all that is dissipated is in sum at most V at the start and the residual."""
+    """What holds for any residual: all that is dissipated is in sum at most V at the start and the residual."""
     yield "V does not rise where the residual is zero"
     for term in of.terms:
         if term.role == "dissipated" and term.rule == "square":
