@@ -639,7 +639,7 @@ class Conclusions:
     """
 
     def __init__(self, of, signs):
-        self.of, self.signs, self.p, self.points, self.gone = of, signs, random_prime(SIZES[0]), [], []
+        self.of, self.signs, self.p, self.points, self.gone = of, signs, random_prime(SIZES[1]), [], []
         field, elements = Field(self.p), flat(of.symbols.values())
         self.columns = [x for x in elements if of.kind(x) in ("state", "time")]
         self.loose = {x for x in elements if of.kind(x) == "correction"}
@@ -657,11 +657,12 @@ class Conclusions:
 
     def premises(self):
         """Where the first signals of `bounds` are bounded, the second are; where those of `limits` vanish, too."""
-        of, moving = self.of, [x for x in self.columns if x in self.of.rates]
+        of, projected = self.of, [x.parts for x in self.of.terms if x.rule == "projected"]
+        boxed = {node for x in projected for node in x.vector}
+        moving = [x for x in self.columns if x in of.rates and x not in boxed]
         steady = unit(len(moving))  # combinations of states whose rate is identically zero
         for row in self.sampled([of.rates[x] for x in moving], len(moving) + 3):
             steady = restricted(steady, [[dot(u, row) % self.p] for u in steady], self.p) if moving else []
-        projected = [x.parts for x in of.terms if x.rule == "projected"]
         self.bounds = [([], x.vector) for x in projected] + [([], [dot(map(number, u), moving)]) for u in steady]
         self.bounds += [(nominal(of, x), x.correction) for x in projected]
         for term in of.terms:
@@ -774,8 +775,7 @@ def proved(of):
     if of.samples or any(term.role == "residual" for term in of.terms):
         shown = list(dict.fromkeys(with_residual(of)))
     else:
-        once, again = (Conclusions(of, signs).check() for _ in range(2))  # with another prime
-        shown = [text for text in once if text in again]
+        shown = Conclusions(of, signs).check()
     given, still = ([x for x, kind in of.kinds.items() if kind == own] for own in ("given", "constant"))
     exact = {x for x, ends in of.numbers.items() if ends.lower == ends.upper}
     some = [label for label in still if not exact >= {*of.symbols[label]}]
