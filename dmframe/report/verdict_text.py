@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from textwrap import fill
 from typing import Any, Final
 
@@ -14,20 +13,19 @@ from dmframe.certify.error_bound import ErrorBound, Share
 from dmframe.common.columns import columns
 from dmframe.common.names import unicode_name
 from dmframe.common.text import DV, KAPPA, Text, joined, text_of
-from dmframe.common.units import plain
+from dmframe.common.units import plain, rounded_up
 from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
 
 HARD: Final = "\N{NO-BREAK SPACE}"
 WIDEST: Final = 116
-LARGE: Final = 1.0
-"""Bounds from here on are not printed: they are as large as the robot [rad or m]."""
 NORMS: Final = {"rms": "root mean square of |{}|", "sup": "largest |{}|"}
 
 
-def verdict_text(name: str, verdict: Verdict, *, times: bool = True) -> str:
-    """Terminal page; `name` is the name of the graph."""
-    parts = [f"{name}: {verdict.headline}", fill(f"  {verdict.reason.unicode}", **_wrapped())]
+def verdict_text(name: str, verdict: Verdict, *, times: bool = True, notices: Sequence[str] = ()) -> str:
+    """Terminal page; `name` is the name of the graph, and `notices` are printed below the headline."""
+    parts = [f"{name}: {verdict.headline}", *(fill(f"  notice: {text}", **_wrapped()) for text in notices)]
+    parts.append(fill(f"  {verdict.reason.unicode}", **_wrapped()))
     if verdict.claim is not None:
         parts.append(f"  model {short(verdict.claim.diagram.fingerprint)}: runs, exports and pages store this hash")
     if verdict.test is not None and verdict.test.zero:
@@ -106,6 +104,8 @@ def _error_bounds(verdict: Verdict) -> Iterator[str]:
     yield f"  bounds over {over} from the graph's start, in {holds}; {disturbance_of(found[0])}"
     rows = [(NORMS[bound.kind].format(bound.signal.unicode), size_of(bound)) for bound in found]
     yield columns(rows, "    ")
+    if remark := useless_of(found):
+        yield _wrap(remark)
     for contribution in dict.fromkeys(map(contribution_of, found)):
         yield _wrap(contribution)
     for reason in verdict.errors.missing:
@@ -122,15 +122,21 @@ def disturbance_of(bound: ErrorBound) -> str:
 
 
 def size_of(bound: ErrorBound) -> str:
-    """The bound with its unit."""
-    small = bound.value < LARGE
-    return f"≤ {plain(rounded_up(bound.value), bound.unit)}" if small else f"no bound below {LARGE:g} {bound.unit}"
+    """The bound with its unit, or that it is of no use."""
+    value = plain(rounded_up(bound.value), bound.unit)
+    return f"≤ {value}" if bound.useful else f"no useful bound ({value})"
 
 
-def rounded_up(value: float, digits: int = 3) -> float:
-    """The next number with that many digits."""
-    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1) if value > 0 else 1.0
-    return math.ceil(value / step) * step
+def useless_of(found: Sequence[ErrorBound]) -> str:
+    """Why bounds are of no use; empty if all are useful."""
+    useless = [bound for bound in found if not bound.useful]
+    still = [
+        f"|{bound.signal.unicode}| ≤ {plain(bound.moved, bound.unit)}"
+        for bound in {bound.signal.unicode: bound for bound in useless}.values()
+        if bound.moved
+    ]
+    why = f"a robot at rest at the start of its path has {' and '.join(still)}" if still else ""
+    return f"no useful bound: {why or 'it is as large as the robot'}" if useless else ""
 
 
 def contribution_of(bound: ErrorBound) -> str:
