@@ -826,7 +826,8 @@ def main(arguments):
         print(json.dumps(result, indent=1))
     else:
         for name, value in result.items():
-            print(f"{name.replace('_', ' ')}:", *value if isinstance(value, list) else [value], sep="\n  ")
+            lines = ["", *value] if isinstance(value, list) else [f" {value}"]
+            print(f"{name.replace('_', ' ')}:" + "\n  ".join(map(str, lines)))
     return {"re-proved": 0, "refuted": 1, "refused": 2}[result["status"]]
 
 
