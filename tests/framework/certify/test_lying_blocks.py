@@ -204,6 +204,28 @@ def test_unusual_numbers_and_operations_end_in_a_verdict() -> None:
         assert reason in verdict.reason
 
 
+def test_a_rate_that_is_defined_nowhere_ends_in_a_verdict() -> None:
+    def divided(z: Any) -> Any:
+        return 1 / ((z + 1) ** 2 - z**2 - 2 * z - 1)
+
+    def inverted(z: Any) -> Any:
+        return ca.inv(ca.vertcat(ca.horzcat(z, z**2), ca.horzcat(1 + z - 1, z * z)))[0, 0]
+
+    cases: dict[str, Callable[[Any, Any], Mapping[str, Any]]] = {
+        "a denominator is zero everywhere": lambda y, z: {"y": -2 * y, "z": divided(z)},
+        "a denominator vanishes at all": lambda y, z: {"y": -2 * y + inverted(y) * 0.5 - inverted(y) / 2, "z": -z},
+    }
+    for reason, rates in cases.items():
+        loop = scalar_loop(
+            "y z",
+            lambda x, u, p, rates=rates: rates(x.y, x.z),
+            lambda x, u, p: Certificate((Square(x.y),), (Square(x.y, 2),)),
+        )
+        verdict = verify(loop)
+        assert verdict.outcome == "not_applicable"
+        assert reason in verdict.reason
+
+
 def test_a_parameter_with_the_name_of_a_start_is_refused() -> None:
     @final
     class Twice(AbstractBlock):
