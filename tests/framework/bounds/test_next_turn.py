@@ -124,6 +124,14 @@ def test_no_turn_with_a_constant_estimate_exceeds_the_bound() -> None:
     assert other.largest < turns().bound(other).bound.value
 
 
+def test_the_premise_of_the_bound_is_nearly_met_and_fails_with_the_bound_if_friction_changes() -> None:
+    """One parameter explains both turns up to little more than the observed eta, unless the robot is another one."""
+    assert np.max(turns().premise(turned())) < 1.2
+    other = turns().of({}, TURN, later={"arm.coulomb": 5, "servo.K_P": 0.5})
+    assert np.max(turns().premise(other)) > 3
+    assert other.largest > turns().bound(other).bound.value
+
+
 def test_the_error_of_a_simulated_turn_is_the_predicted_one_moved_by_its_prediction_errors() -> None:
     """Up to products of them; the prediction knows the controller and its estimate, not the plant."""
     _, turn = predicted()
@@ -155,6 +163,8 @@ def test_a_larger_eta_gives_a_larger_bound_and_one_that_is_too_small_is_refused(
     least = np.array(turns().bound(turned()).found.least)
     with pytest.raises(NoBoundError, match="the smallest limit is"):
         turn_bound(recorded, turn, 0.9 * least)
+    with pytest.raises(NoBoundError, match="grows without limit"):
+        turn_bound(recorded, replace(turn, gains=np.full_like(turn.gains, np.inf)))
     with pytest.raises(ValueFault, match="expected one number above zero, or one for each of 2 joints"):
         turns().bound(turned(), eta=[1e-3, 1e-3, 1e-3])
     assert turns().bound(turned(), eta=0.01).found.source == "given"
