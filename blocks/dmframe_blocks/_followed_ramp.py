@@ -96,9 +96,9 @@ class Limited(NamedTuple):
 def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acted: SX) -> Limited:
     """The change towards the wished command; `acted` is the command that acted in the last completed sample.
 
-    Unless a ramp is shown, or the delay is unknown, the path's own change is allowed also where it exceeds a_max. Any
-    change is allowed for corrections, but only if it is shown that the robot follows: a loop whose corrections a ramp
-    limits oscillates.
+    Unless a ramp is shown, or the delay is unknown, the path's own change is allowed also where it exceeds a_max. As
+    much again is allowed for corrections, with a trial any change, but only if it is shown that the robot follows: a
+    loop whose corrections a ramp limits oscillates.
     """
     if "a_max" not in p:
         return Limited(wished - x.queue[:, -1], {}, {})
@@ -109,16 +109,20 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
     possible = named("possible", known * (x.count > 1) * (evidence + unsure + between + p.doubt >= 0))
     needed = named("needed", possible * (u.dq_path - x.path_before))
     likely = named("likely", unsure + FOLLOWED * p.doubt)
-    follows = named("follows_new", possible * ca.fmax(x.follows, evidence - likely > 0))
-    more = follows * 2 * p.u_max
-    begun = {"evidence": evidence, "follows": follows, **sums}
-    held = x.queue[:, -1] - (x.wave if "trial" in p else 0)
-    low, high = ca.fmin(-room, needed) - more, ca.fmax(room, needed) + more
-    change = named("change", ca.fmin(ca.fmax(wished - held, low), high))
+    begun = {"evidence": evidence, **sums}
     if "trial" in p:
+        follows = named("follows_new", possible * ca.fmax(x.follows, evidence - likely > 0))
+        held, more = x.queue[:, -1] - x.wave, follows * 2 * p.u_max
+        low, high = ca.fmin(-room, needed) - more, ca.fmax(room, needed) + more
+        steady = named("steady", ca.fmin(ca.fmax(wished - held, low), high))
         undecided = known * (1 - follows) * (evidence > -GIVEN_UP * p.doubt)
-        begun["wave"] = _tried(u, x, p, undecided, held + change)
-        change = named("change_tried", change + begun["wave"] - x.wave)
+        wave = _tried(u, x, p, undecided, held + steady)
+        begun |= {"follows": follows, "wave": wave}
+        change = named("change", steady + wave - x.wave)
+    else:
+        more = (evidence - likely > 0) * ca.fmax(room / 2, ca.fabs(needed))
+        low, high = ca.fmin(-room, needed - more), ca.fmax(room, needed + more)
+        change = named("change", ca.fmin(ca.fmax(wished - x.queue[:, -1], low), high))
     sent = x.queue[:, -1] + change
     ramped = named("ramped_new", x.ramped + clip(sent - x.ramped, room))
     kept = {"path_before": u.dq_path, "ramped": ramped, **filters}

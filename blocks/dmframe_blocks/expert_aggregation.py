@@ -89,11 +89,11 @@ class ExpertAggregation(AbstractBlock):
 
     *Rate.* With `a_max` the change of a command lies between
 
-        min(-a_max T, D) - B  and  max(a_max T, D) + B
+        min(-a_max T, D - B)  and  max(a_max T, D + B)
 
     with the change D of dq_path, the velocity along the path without feedback. D counts as zero in the first two
-    samples, while the delay is unknown, and if a ramp limits the robot; B is zero, or 2 u_max once it is shown that the
-    robot follows faster changes. The motion shows which is true: with the output r of a ramp of slope a_max
+    samples, while the delay is unknown, and if a ramp limits the robot; B is zero unless the robot is known to follow
+    faster changes, then max(a_max T/2, |D|). The motion shows which is true: with the output r of a ramp of slope a_max
     behind the command u, and filters :math:`F_\tau = 1 / (1 + \tau s)` for the unknown lag of the servo, the evidence
     is, summed over the joints,
 
@@ -101,13 +101,13 @@ class ExpertAggregation(AbstractBlock):
 
     for tau = 0 and 1, 2, 4, 8 and 16 times `lag_time`. With the mean s^2 of the smaller integral over time, at least
     over `evidence_time`, and N the sum of the integrals of |v - u|^2, a ramp is shown by
-    E < -(doubt + evidence_time s^2 + N/9), and that the robot follows by E > doubt/10 + evidence_time s^2, until a ramp
-    is shown.
+    E < -(doubt + evidence_time s^2 + N/9), and that the robot follows by E > doubt/10 + evidence_time s^2.
 
     *Trial.* On a slow path r = u in each sample, and nothing is shown. With `trial`, a square wave with the amplitude
     a_max T/2 + trial is added to the commands of all joints as soon as the delay is identified. Its sign changes when r
     has caught up with u. It ends when it is shown that the robot follows, if E < -doubt/50, and after evidence_time/8
-    at the latest.
+    at the latest. That the robot follows then remains shown until a ramp is, and only `u_max` limits corrections: with
+    a delay that is identified too short the loop diverges farther than within `a_max`. No packaged graph has it.
 
     Parameters
     ----------

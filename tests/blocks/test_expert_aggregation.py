@@ -193,7 +193,7 @@ def test_corrections_exceed_a_max_only_where_the_motion_shows_that_the_robot_fol
         u = {"q": [0.0], "dq_model": [0.0], "q_model": [0.0], "slope": [1.0], "epsilon": [0.0], "T": T}
         u |= {"dq_r": [sign * 9.0], "dq_path": [sign * needed]}
         item = block.evaluate(u, {**start(), **sums, "count": 10 / T}, robot="pendulum")
-        room = {"ramp": most * T, "path": needed, "corrections": 3.0}[limits]  # u_max is 3
+        room = {"ramp": most * T, "path": needed, "corrections": 2 * needed}[limits]
         assert float(item.outputs["dq_sent"][0]) == pytest.approx(sign * room)
 
 
@@ -202,7 +202,7 @@ def test_that_the_robot_follows_remains_shown_until_a_ramp_is(evidence: float, f
     missed_u = np.full((1, 6), -evidence)
     sums = {"missed_r": np.zeros((1, 6)), "missed_u": missed_u, "count": 1e6, "follows": 1}
     u = {"q": [0.0], "dq_r": [0.0], "dq_path": [0.0], "dq_model": [0.0], "q_model": [0.0], "slope": [1.0]}
-    item = KIND(a_max=[0.5], doubt=1e-3 * 8 / 9).evaluate(
+    item = KIND(a_max=[0.5], trial=[0.03], doubt=1e-3 * 8 / 9).evaluate(
         {**u, "epsilon": [0.0], "T": T}, {**start(), **sums}, robot="pendulum"
     )  # N/9 is a ninth of the evidence
     assert float(item.next["follows"]) == follows
