@@ -27,7 +27,8 @@ from dmframe.simulate.engine import Choice, worth
 from dmframe.simulate.keep import Log, rotation_distance_of
 from dmframe.simulate.many import cores
 from dmframe.simulate.run import Prepared, prepare
-from dmframe.simulate.step import FIXED, Solver, Step, build_parts
+from dmframe.simulate.solver import FIXED, Solver
+from dmframe.simulate.step import Step, build_parts
 
 BLOCK: Final = 4096
 """Runs whose parameters and states are in memory at a time."""

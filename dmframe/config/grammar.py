@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidat
 from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.common.units import joint_place, to_unit
 from dmframe.simulate.instants import seed_fault
-from dmframe.simulate.step import Method
+from dmframe.simulate.solver import Method
 
 
 def _reader(unit: str, *, positive: bool) -> BeforeValidator:

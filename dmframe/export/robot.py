@@ -17,8 +17,9 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
 from dmframe.export.program import Member, identifier, members
 from dmframe.simulate import simulate
+from dmframe.simulate.solver import substeps_of
 from dmframe.simulate.start import start_state
-from dmframe.simulate.step import build_parts, substeps_of
+from dmframe.simulate.step import build_parts
 
 
 @final

@@ -20,7 +20,7 @@ from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text
 from dmframe.diagram import Diagram
 from dmframe.simulate import Recording, Solver
-from dmframe.simulate.step import FIXED
+from dmframe.simulate.solver import FIXED
 
 if TYPE_CHECKING:
     import xarray

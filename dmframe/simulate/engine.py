@@ -18,7 +18,8 @@ from dmframe.build.trial import called
 from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.remembered.recorder import paused
-from dmframe.simulate.step import FIXED, Solver, Step
+from dmframe.simulate.solver import FIXED, Solver
+from dmframe.simulate.step import Step
 
 Choice = Literal["auto", "compiled", "interpreted"]
 

@@ -15,8 +15,8 @@ from dmframe.simulate.engine import Choice
 from dmframe.simulate.keep import Log
 from dmframe.simulate.recording import Recording
 from dmframe.simulate.run import prepare
+from dmframe.simulate.solver import Solver
 from dmframe.simulate.start import start_state
-from dmframe.simulate.step import Solver
 
 START = "start"
 """Key of a variant's initial values."""

@@ -12,7 +12,7 @@ from dmframe.diagram import Diagram
 from dmframe.simulate.bounds import Divergence
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.rank import Rank
-from dmframe.simulate.step import Solver
+from dmframe.simulate.solver import Solver
 
 
 @final

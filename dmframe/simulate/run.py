@@ -25,8 +25,9 @@ from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.march import End, Progress, divergence_of, march
 from dmframe.simulate.rank import ranks, watched
 from dmframe.simulate.recording import Recording
+from dmframe.simulate.solver import FIXED, MOST_SUBSTEPS, Method, Solver, substeps_of
 from dmframe.simulate.start import check_start, start_state
-from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
+from dmframe.simulate.step import Step, build_step
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, omitted_terms, speed_of, stiffness
 from dmframe.simulate.warnings import channel_models, exceptions, off_path, too_fast, unread, warning_signals
 
