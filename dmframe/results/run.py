@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -297,6 +298,15 @@ def ended(run: Run) -> list[str]:
     return notes
 
 
+def integrated(run: Run) -> list[str]:
+    """Method, step and estimated error of the joints; empty without an estimate."""
+    solver, estimate = run.recording.solver, run.recording.estimate
+    if estimate is None or solver.step is None or not math.isfinite(estimate.error):
+        return []
+    error = f"{estimate.error:.1g} {estimate.unit}"
+    return [f"{solver.method} in steps of {plain(solver.step, 's')}, estimated error of the joints {error}"]
+
+
 def table_of(runs: Sequence[Run]) -> str:
     """Terminal table of runs, followed by their notes."""
     return "\n".join([numbers_of(runs), *notes_of(runs)])
@@ -311,6 +321,7 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
     """Warnings, reported estimates and end of each run."""
     lines = list[str]()
     for run in runs:
+        lines += [f"{run.name}: {text}" for text in integrated(run)]
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
         lines += [f"{run.name}: {item}" for item in run.shown]
         lines += [f"{run.name}: {text}" for text in ended(run)]

@@ -35,6 +35,26 @@ class ExtraSignal:
 
 
 @final
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated error of integration.
+
+    Parameters
+    ----------
+    error
+        Largest error of a joint position; infinite if a comparison diverged.
+    unit
+        ``rad``, ``m``, or ``rad, m`` for a robot with both kinds of joints.
+    share
+        Fraction of the run in which it was compared.
+    """
+
+    error: float
+    unit: str
+    share: float
+
+
+@final
 @dataclass(frozen=True, repr=False)
 class Recording:
     """Recorded signals of a simulation, up to its end, divergence or interruption.
@@ -55,6 +75,8 @@ class Recording:
         All states at the first instant, as one column; empty for a drive.
     instants
         Times and random numbers of the ticks; None for a drive.
+    estimate
+        Estimated error of integration; None if it was not estimated.
     """
 
     diagram: Diagram
@@ -74,6 +96,7 @@ class Recording:
     drive: Mapping[str, Any] = field(default_factory=dict)
     start: np.ndarray = field(default_factory=lambda: np.zeros(0))
     instants: Instants | None = None
+    estimate: Estimate | None = None
 
     @property
     def real_time_factor(self) -> float:

@@ -17,6 +17,7 @@ from dmframe.common.errors import DmframeError, EngineError, ValueFault, raise_a
 from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
+from dmframe.simulate.accuracy import Pilot
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.bounds import Divergence, bounds_of
 from dmframe.simulate.engine import Choice, Compiled, Engine, choose
@@ -116,13 +117,35 @@ class Prepared:
     ) -> Recording:
         """Run from a state with the parameters of `diagram` and automatic steps, unless the user chose a step.
 
-        A diverging run is repeated with shorter steps. `shared` is the engine of a batch.
+        A diverging run is repeated with shorter steps, and a run that misses the solver's accuracy too; see `Pilot`.
+        `shared` is the engine of a batch.
         """
         with SYMBOLIC:
             speed = speed_of(diagram, self.jacobian, state) if self.solver.method in FIXED else 0.0
             own = self.stepping(state, diagram.loop.p_values, speed)
             engine = own.engine(choice) if shared is None else own.sharing(shared, choice)
-        recording = own._run(diagram, engine, state, speed, progress)
+
+        def run(setup: Prepared, marks: dict[int, np.ndarray]) -> Recording:
+            with SYMBOLIC:
+                used = engine if setup is own else setup.sharing(engine, choice)
+            return self._finished(diagram, setup, used, state, speed, choice, progress, marks)
+
+        pilot = Pilot.of(own, self.notices, diagram, state, speed, choice, engine, run)
+        return run(own, {}) if pilot is None else pilot.recording(written=self.solver.step is not None)
+
+    def _finished(
+        self,
+        diagram: Diagram,
+        own: Prepared,
+        engine: Engine,
+        state: np.ndarray,
+        speed: float,
+        choice: Choice,
+        progress: Progress | None,
+        marks: dict[int, np.ndarray],
+    ) -> Recording:
+        """The recording of a setup, repeated with shorter steps if it diverges."""
+        recording = own._run(diagram, engine, state, speed, progress, marks)
         finer = self.finer(own)
         if recording.divergence is None or finer is None:
             return recording
@@ -196,13 +219,19 @@ class Prepared:
         return engine if alike else self.engine(choice)
 
     def _run(
-        self, diagram: Diagram, engine: Engine, state: np.ndarray, speed: float, progress: Progress | None = None
+        self,
+        diagram: Diagram,
+        engine: Engine,
+        state: np.ndarray,
+        speed: float,
+        progress: Progress | None = None,
+        marks: Mapping[int, np.ndarray] | None = None,
     ) -> Recording:
         p, start, state = diagram.loop.p_values, state, state.copy()
         with SYMBOLIC:
             stiff = stiffness(self.step, self.solver, speed, state, p)
         begin = time.perf_counter()
-        rows, end, done = march(engine, self.step, self.keeping, state, p, self.ticks, progress)
+        rows, end, done = march(engine, self.step, self.keeping, state, p, self.ticks, progress, marks)
         wall = time.perf_counter() - begin
         with SYMBOLIC:
             divergence = divergence_of(diagram, self.step, end, done, state, p)

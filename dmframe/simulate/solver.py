@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal, final, get_args
+from dataclasses import dataclass, replace
+from typing import Final, Literal, final, get_args
 
 from dmframe.common.errors import EngineError, ValueFault
 
@@ -12,7 +12,7 @@ Method = Literal["rk4", "ros34pw2", "cvodes"]
 """Fixed-step fourth-order Runge-Kutta; a fixed-step Rosenbrock method of third order for stiff plants; SUNDIALS'
 variable-step backward differentiation."""
 
-FIXED = ("rk4", "ros34pw2")
+FIXED: Final[tuple[Method, ...]] = ("rk4", "ros34pw2")
 """Fixed-step methods, which can be compiled."""
 
 RK4_STABLE = 2.785
@@ -26,6 +26,10 @@ PLAIN_STEP = 0.001
 
 PLAIN_STEPS = {"rk4": PLAIN_STEP, "ros34pw2": PLAIN_STEP / 2}
 """Default maximum steps of fixed-step methods, for similar errors [s]."""
+
+
+ACCURACY = 1e-5
+"""Accuracy of a run whose graph states neither accuracy nor step [rad, m]."""
 
 
 @final
@@ -46,6 +50,13 @@ class Solver:
         Relative tolerance of cvodes; the absolute one is a thousandth of it.
     share
         Automatic steps of rk4 as a fraction of the largest stable step.
+    accuracy
+        Largest error of a joint position that the integrator may cause in a run [rad, m for prismatic joints]. Without
+        `free` it only shortens automatic steps; with `step` the error is only estimated. None: no estimate.
+    free
+        Methods among which the accuracy decides, with steps that may be longer than the automatic ones.
+    plain
+        Longest automatic step [s]; by default that of `PLAIN_STEPS`.
     """
 
     method: Method = "rk4"
@@ -53,18 +64,38 @@ class Solver:
     output: float = 0.01
     tolerance: float = 1e-9
     share: float = 0.8
+    accuracy: float | None = None
+    free: tuple[Method, ...] = ()
+    plain: float | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
         if self.method not in get_args(Method):
             *first, last = get_args(Method)
             raise ValueFault(f"solver.method: expected {', '.join(first)} or {last}, found {self.method!r}")
-        for name in ("step", "output", "tolerance"):
+        for name in ("step", "output", "tolerance", "accuracy"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueFault(f"solver.{name}: expected a positive number, found {value}")
         if not 0 < self.share <= 1:
             raise ValueFault(f"solver.share: expected a number above 0, at most 1, found {self.share}")
+
+        if self.accuracy is not None and self.method not in FIXED:
+            raise ValueFault(
+                f"solver.accuracy: expected solver.method {' or '.join(FIXED)}, found {self.method}, whose error "
+                "follows from solver.tolerance; remove one of the two keys",
+                path=("solver", "accuracy"),
+            )
+
+    @property
+    def checked(self) -> Solver:
+        """The same with the default accuracy, if it has none and a fixed-step method."""
+        return replace(self, accuracy=ACCURACY) if self.accuracy is None and self.method in FIXED else self
+
+    @property
+    def automatic(self) -> Solver:
+        """The same without an accuracy."""
+        return replace(self, accuracy=None, free=())
 
     @property
     def takes(self) -> float:
@@ -78,7 +109,8 @@ def substeps_of(clock: float | None, solver: Solver) -> int:
         return 1
     period = clock if clock is not None else solver.output
     if solver.step is None:
-        return min(MOST_SUBSTEPS, max(1, math.ceil(round(period / PLAIN_STEPS[solver.method], 9))))
+        longest = solver.plain or PLAIN_STEPS[solver.method]
+        return min(MOST_SUBSTEPS, max(1, math.ceil(round(period / longest, 9))))
     steps = period / solver.step
     if steps > MOST_SUBSTEPS * (1 + 1e-9):
         tick, shorter = ("", "a shorter clock") if clock is not None else ("solver.output, ", "a shorter output")
