@@ -1,18 +1,18 @@
 r"""Estimated error of integration, and the method and steps that follow from an accuracy.
 
-Parts of a run (`spans`) are integrated twice from the same state: with n steps in a tick, and with at least four times
-as many. With the joint positions q_n at all ticks of these parts, the error is estimated as
+A run, or parts of a long run (`spans`), is integrated twice from the same states: with n steps in a tick, and with
+N >= 2 n. With the joint positions q_n at all ticks, the error is estimated as
 
 .. math::
 
-    e_n = 2 \max |q_n - q_{4n}|. \tag{1}
+    e_n = \frac{\max |q_n - q_N|}{1 - (n / N)^p}, \qquad p = \log_2 \tfrac32. \tag{1}
 
-With an error of order p, q_{4n} has an error smaller by :math:`4^{-p}`, and (1) is at least the error for
-:math:`p \ge 1/2`: steps across a corner of a friction law or a contact reduce the order, but not so far.
+It is at least the error if twice the steps leave at most two thirds of it: corners of a friction law, of a projection
+or of a contact reduce the order of a method, and (1) is cautious where they do not.
 
 Where only parts are compared, (1) is multiplied by 1.5, since the largest error may be between them. A part may end
-before errors have accumulated that no feedback removes: if the difference grows in the second half of every part, (1) is
-multiplied by the length of the run over that of a part.
+before errors have accumulated that no feedback removes: if the difference grows in the second half of every part, (1)
+is multiplied by the length of the run over that of a part.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from dmframe.simulate.stiffness import EXPLICIT_TAKES, omitted_terms
 if TYPE_CHECKING:
     from dmframe.simulate.run import Prepared
 
-_FINER: Final = 4
-_MARGIN: Final = 2.0
-"""Steps of the reference per step, and the factor of (1)."""
+_FINER: Final = 2
+_ORDER: Final = float(np.log2(1.5))
+"""N over n, or over the number of automatic steps if that is larger; and p of (1)."""
 
 _PARTS: Final = 1.5
 """Further factor if less than the whole run is compared, whose largest error may be between the parts."""
 
 _SHARE: Final = 0.3
-_FEW: Final = (1e8, 3e8)
+_FEW: Final = (1e8, 2e9)
 _MOST: Final = 3e9
 """Instructions of an estimate: a share of those of the run, but at least the first or the second number, for a run that
 `worth` leaves to the interpreter or compiles, and at most the last one."""
@@ -62,6 +62,8 @@ _STEPS: Final = tuple(sorted({k * 10**e // 10 for e in range(3) for k in (10, 12
 """Numbers of steps in a tick that are tried."""
 _DOUBLINGS: Final = 4
 """Number of times that automatic steps are halved."""
+_NOTICEABLE: Final = 4
+"""Multiple of the automatic number of steps that must halve the error; otherwise no number is taken to reduce it."""
 _RUNS: Final = 3
 """Most runs, each with shorter steps after the estimate of the one before."""
 _EXPENSIVE: Final = 5000
@@ -89,8 +91,8 @@ def spans(step: Step, ticks: int) -> list[tuple[int, int]]:
     return sorted((int(start * (ticks - length)), length) for start in _STARTS[:count])
 
 
-def joint_rows(diagram: Diagram) -> tuple[np.ndarray, str]:
-    """Rows of the joint positions in the column of states, and their unit.
+def joint_rows(diagram: Diagram) -> tuple[np.ndarray, list[str], str]:
+    """Rows of the joint positions in the column of states, the labels of these states, and the unit.
 
     They are those of the robot; without a robot all states of the plant in rad or m.
     """
@@ -103,19 +105,20 @@ def joint_rows(diagram: Diagram) -> tuple[np.ndarray, str]:
         return variable.unit in ("rad", "m")
 
     for chosen in (robot, position):
-        rows, units, first = list[int](), list[str](), 0
+        rows, labels, units, first = list[int](), list[str](), list[str](), 0
         for variable in diagram.loop.variables:
             size = variable.symbol.numel()
             if variable.label in moving and chosen(variable):
                 rows += range(first, first + size)
+                labels.append(variable.label)
                 units.append(variable.unit)
             first += size
         if rows:
             kinds = {} if diagram.robot is None else {joint.kind: None for joint in diagram.robot.joints}
             if chosen is robot and kinds:
                 units = ["m" if kind == "prismatic" else "rad" for kind in kinds]
-            return np.array(rows, dtype=np.int64), ", ".join(sorted(set(units), reverse=True))
-    return np.zeros(0, np.int64), ""
+            return np.array(rows, dtype=np.int64), labels, ", ".join(sorted(set(units), reverse=True))
+    return np.zeros(0, np.int64), [], ""
 
 
 @final
@@ -141,8 +144,11 @@ class Comparison:
 
     def estimate(self, own: Prepared) -> Estimate:
         """Estimated error of a setup by (1); infinite if one of its runs diverged."""
-        n, compared = own.step.substeps, sum(span.ticks for span in self.spans)
-        share, finest = compared / own.ticks, _with_steps(self.base, self.base.solver.method, self._reference(n))
+        n, share = own.step.substeps, sum(span.ticks for span in self.spans) / own.ticks
+        most = min(MOST_SUBSTEPS, _FINER * max(n, self.base.step.substeps))
+        if most == n:
+            return Estimate(np.inf, self.unit, 0.0)
+        finest = _with_steps(self.base, self.base.solver.method, most)
         error, growth = 0.0, np.inf
         for found, reference in zip(self._path(own), self._path(finest), strict=True):
             if found is None or reference is None:
@@ -153,10 +159,8 @@ class Comparison:
             growth = min(growth, float(np.max(second, initial=0.0)) / max(float(np.max(first)), 1e-300))
         if growth > _GROWTH and share < 1:
             error *= own.ticks / self.spans[0].ticks
-        return Estimate(_MARGIN * (error if share == 1 else _PARTS * error), self.unit, share)
-
-    def _reference(self, n: int) -> int:
-        return min(MOST_SUBSTEPS, _FINER * max(n, self.base.step.substeps))
+        factor = (1 if share == 1 else _PARTS) / (1 - (n / most) ** _ORDER)
+        return Estimate(factor * error, self.unit, share)
 
     def _path(self, own: Prepared) -> list[np.ndarray | None]:
         key = own.solver.method, own.step.substeps
@@ -213,6 +217,7 @@ class Pilot:
     speed: float
     choice: Choice
     rows: np.ndarray
+    labels: Sequence[str]
     unit: str
     run: Callable[[Prepared, dict[int, np.ndarray]], Recording]
     engines: dict[Method, Engine]
@@ -232,10 +237,10 @@ class Pilot:
         """The pilot of a run; None if its error is not asked for, or has no estimate."""
         if base.solver.accuracy is None or base.solver.method not in FIXED:
             return None
-        rows, unit = joint_rows(diagram)
+        rows, labels, unit = joint_rows(diagram)
         if rows.size:
             engines = {base.solver.method: engine}
-            return cls(base, notices, diagram, state, speed, choice, rows, unit, run, engines)
+            return cls(base, notices, diagram, state, speed, choice, rows, labels, unit, run, engines)
         if base.solver.free:
             raise ValueFault(
                 "solver.accuracy: expected a plant with joint positions, states in rad or m, found none; set "
@@ -308,7 +313,12 @@ class Pilot:
         parts = spans(self.base.step, own.ticks)
         marks = {first: np.zeros_like(self.state) for first, _ in parts}
         found = self.run(own, marks)
-        return found, self._comparison([Span(first, ticks, marks[first]) for first, ticks in parts])
+        compared = self._comparison([Span(first, ticks, marks[first]) for first, ticks in parts])
+        states = [found.states.get(label) for label in self.labels]
+        recorded = [each for each in states if each is not None and len(each) == own.ticks + 1]
+        if len(parts) == 1 and parts[0] == (0, own.ticks) and len(recorded) == len(self.labels):
+            compared.paths[own.solver.method, own.step.substeps] = [np.hstack(recorded)]
+        return found, compared
 
     def _comparison(self, parts: Sequence[Span]) -> Comparison:
         return Comparison(self.base, parts, self.diagram.loop.p_values, self.rows.size, self.unit, self._engine)
@@ -324,7 +334,7 @@ class Pilot:
                 return own
             steps = own.step.substeps // self.base.step.substeps
             first = error if steps == 1 else first
-            if steps >= _FINER and error > first / 2:  # a noise or a chaotic loop, whose differences no step reduces
+            if steps >= _NOTICEABLE and error > first / 2:  # chaos, or a quantiser: no step reduces the difference
                 return None
         return None
 
