@@ -198,6 +198,7 @@ class Batch:
         chosen = {"solver": self.prepared.solver, "engine": self.choice, "threads": self.threads}
         settings = {**self.settings, **chosen}
         reduced = partial(figures_of_run, wanted=self.wanted)
+        table.notices.update(dict.fromkeys(self.prepared.notices))
         found = simulate_many(self.diagram, variants, self.duration, reduce=reduced, **settings)
         for run, result in zip(runs.tolist(), found, strict=True):
             if isinstance(result, UnknownNameError | NeedsDiagramError):
