@@ -300,11 +300,11 @@ def ended(run: Run) -> list[str]:
 
 def integrated(run: Run) -> list[str]:
     """Method, step and estimated error of the joints; empty without an estimate."""
-    solver, estimate = run.recording.solver, run.recording.estimate
-    if estimate is None or solver.step is None or not math.isfinite(estimate.error):
+    method, step, estimate = run.recording.solver.method, run.recording.step, run.recording.estimate
+    if estimate is None or step is None or not math.isfinite(estimate.error):
         return []
     error = f"{estimate.error:.1g} {estimate.unit}"
-    return [f"{solver.method} in steps of {plain(solver.step, 's')}, estimated error of the joints {error}"]
+    return [f"{method} in steps of {plain(step, 's')}, estimated error of the joints {error}"]
 
 
 def table_of(runs: Sequence[Run]) -> str:

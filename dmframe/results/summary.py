@@ -10,7 +10,6 @@ from dmframe.results.metrics import Deviation, TrackingError, tracking_error, tu
 from dmframe.results.reported import reported_estimates
 from dmframe.results.storage import no_storage
 from dmframe.simulate import Recording
-from dmframe.simulate.solver import FIXED
 
 if TYPE_CHECKING:
     from dmframe.results.run import Run
@@ -71,8 +70,7 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
 
 def _solver(run: Recording) -> dict[str, Any]:
     """Method, step [s] of a fixed-step method, and estimated error of the joints by integration."""
-    solver, estimate = run.solver, run.estimate
-    found = {"method": solver.method, "step": _number(solver.step) if solver.method in FIXED else None}
+    estimate, found = run.estimate, {"method": run.solver.method, "step": _number(run.step)}
     if estimate is None:
         return found | {"error": None, "unit": None, "share": None}
     return found | {"error": _number(estimate.error), "unit": estimate.unit, "share": _number(estimate.share)}

@@ -55,8 +55,8 @@ _SHORTEST: Final = 1.0
 """Shortest part if there are several [s]."""
 _WHOLE: Final = 0.7
 """Fraction of a run from which all of it is compared."""
-_GROWTH: Final = 2.0
-"""Ratio of the largest differences in the two halves of a part from which it grows."""
+_GROWTH: Final = 1.5
+"""Ratio of the largest differences in the two halves of a part from which it grows; 2 for linear growth."""
 
 _STEPS: Final = tuple(sorted({k * 10**e // 10 for e in range(3) for k in (10, 12, 15, 20, 25, 30, 40, 50, 60, 80)}))
 """Numbers of steps in a tick that are tried."""

@@ -12,7 +12,7 @@ from dmframe.diagram import Diagram
 from dmframe.simulate.bounds import Divergence
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.rank import Rank
-from dmframe.simulate.solver import Solver
+from dmframe.simulate.solver import FIXED, Solver, substeps_of
 
 
 @final
@@ -97,6 +97,15 @@ class Recording:
     start: np.ndarray = field(default_factory=lambda: np.zeros(0))
     instants: Instants | None = None
     estimate: Estimate | None = None
+
+    @property
+    def step(self) -> float | None:
+        """Step of a fixed-step method in the longest tick [s]; None for another one."""
+        if self.solver.method not in FIXED:
+            return None
+        period = self.clock if self.clock is not None else self.solver.output
+        longest = period if self.instants is None else self.instants.longest
+        return longest / substeps_of(longest, self.solver)
 
     @property
     def real_time_factor(self) -> float:
