@@ -234,7 +234,7 @@ class Pilot:
         engine: Engine,
         run: Callable[[Prepared, dict[int, np.ndarray]], Recording],
     ) -> Pilot | None:
-        """The pilot of a run; None if its error is not asked for, or has no estimate."""
+        """The pilot of a run; None without an accuracy or an estimate."""
         if base.solver.accuracy is None or base.solver.method not in FIXED:
             return None
         rows, labels, unit = joint_rows(diagram)

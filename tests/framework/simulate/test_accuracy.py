@@ -225,9 +225,9 @@ def test_without_the_key_automatic_steps_are_only_shortened() -> None:
     assert written.estimate is not None
     assert written.estimate.error > 1e-5
     assert not any("error of the joints" in text for text in written.notices)
-    asked = graph.set({"solver.step": "1 ms", "solver.accuracy": 1e-5}).simulate()
-    assert asked.solver.step == 0.001
-    assert any("exceeds 1e-05; set a shorter solver.step" in text for text in asked.notices)
+    checked = graph.set({"solver.step": "1 ms", "solver.accuracy": 1e-5}).simulate()
+    assert checked.solver.step == 0.001
+    assert any("exceeds 1e-05; set a shorter solver.step" in text for text in checked.notices)
 
 
 def test_a_method_alone_is_kept() -> None:
