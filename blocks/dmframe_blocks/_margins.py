@@ -68,6 +68,20 @@ def gain_at_limit(block: Margined, u: Signals) -> SX | float:
     return named("bound", ca.if_else(u.identified, chosen(bounds, u.delay_hat), bounds[-1]))
 
 
+def remark_of(block: Margined) -> str:
+    """That the gain follows from margins; empty for a given gain."""
+    if block.gain_margin is None:
+        return ""
+    samples = block.delay_margin + longest(block)
+    also = f" with the longest delay, {samples} samples," if longest(block) else ""
+    gain = 2 * sin(pi / (4 * samples + 2)) / block.gain_margin
+    return (
+        f"Lambda is derived at each sampling period T from gain_margin {block.gain_margin:g} and delay_margin "
+        f"{block.delay_margin}:{also} T Lambda = {gain:.3g}. A longer period has a smaller Lambda, so that the loop "
+        "may stay stable at all of them; Lambda=... instead of gain_margin analyses one gain"
+    )
+
+
 @operation
 def braked(error: SX, gain: SX) -> SX:
     """Share of the gain with which an error, divided by the largest acceleration, is corrected without overshoot.

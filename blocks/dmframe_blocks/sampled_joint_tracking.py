@@ -24,7 +24,7 @@ from dmframe_blocks._identified_delay import (
     longest,
     needs_delay,
 )
-from dmframe_blocks._margins import check_gain, ends_of_sample, gain_at_limit
+from dmframe_blocks._margins import check_gain, ends_of_sample, gain_at_limit, remark_of
 
 
 @final
@@ -102,6 +102,10 @@ class SampledJointTracking(AbstractBlock):
     def _has_one_gain(self) -> Self:
         check_gain(self, ("Lambda", "gain_margin"), "Lambda and gain_margin")
         return self
+
+    def remark(self) -> str:
+        """That the gain follows from margins."""
+        return remark_of(self)
 
     def needs(self, port: str) -> bool:
         """The delay, if it is identified; and the path as far ahead as the longest delay."""

@@ -29,7 +29,7 @@ from dmframe_blocks._identified_delay import (
     longest,
     needs_delay,
 )
-from dmframe_blocks._margins import braked, check_gain, ends_of_sample, gain_at_limit
+from dmframe_blocks._margins import braked, check_gain, ends_of_sample, gain_at_limit, remark_of
 
 
 @final
@@ -147,6 +147,10 @@ class SampledTracking(AbstractBlock):
         if self.braking is not None and self.gamma is not None:
             raise ValueError("expected no braking with gamma, which feeds back through J'; give Lambda or gain_margin")
         return self
+
+    def remark(self) -> str:
+        """That the gain follows from margins."""
+        return remark_of(self)
 
     def needs(self, port: str) -> bool:
         """The delay, if it is identified; and the path as far ahead as the longest delay."""

@@ -199,6 +199,10 @@ class AbstractBlock(BaseModel):
         """Dimensions that this block defines, ``{"p": 36}``; `robot` is the chain, or None."""
         return {letter: len(elements) for letter, elements in self.elements(robot).items()}
 
+    def remark(self) -> str:
+        """What `dmframe analyse` prints about the parameters, such as a gain that follows from margins; or nothing."""
+        return ""
+
     def needs(self, port: str) -> bool:
         """True if an optional input has to be driven with the options of this block."""
         del port

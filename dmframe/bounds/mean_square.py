@@ -50,6 +50,7 @@ from dmframe.block.certificate import SX, Square
 from dmframe.bounds.disturbed import NoBoundError, require_disturbed
 from dmframe.bounds.given import OVER, Torque, torques_of
 from dmframe.bounds.initial import Initial, initial_terms
+from dmframe.bounds.motion import extent
 from dmframe.bounds.supremum import Box
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part, total
@@ -149,14 +150,14 @@ class _ErrorBounds:
                 raise NoBoundError(f"V jumps where {leaf.name} does")
         found, missing, level = list[ErrorBound](), list[str](), self._level(self._servo())
         for consumer, _ in self._claim.cross_terms:
-            for error, unit in self._errors(consumer):
+            for error, unit, moved in self._errors(consumer):
                 rate = self._lag(consumer, error)
                 if rate is not None:
-                    found.append(self._rms(level, consumer, error, unit, rate))
+                    found.append(replace(self._rms(level, consumer, error, unit, rate), moved=moved))
                 else:
                     why = "it is no first-order lag of the servo level's error; a least singular value of J is needed"
                     missing.append(f"{consumer.block}: no bound on the mean square of {error.of}: {why}")
-                found.append(self._sup(level, error, unit))
+                found.append(replace(self._sup(level, error, unit), moved=moved))
         found += list(_at_the_tool(self._claim, found))
         if not found:
             missing.append("V holds no tracking error as a square")
@@ -188,17 +189,17 @@ class _ErrorBounds:
             raise NoBoundError(f"{servo.block}: its certificate does not state how a joint torque acts on V")
         return servo
 
-    def _errors(self, consumer: Part) -> Iterator[tuple[Square, str]]:
-        """Squares in the storage of a cascade whose vectors are tracking errors, with their units."""
+    def _errors(self, consumer: Part) -> Iterator[tuple[Square, str, float | None]]:
+        """Squares in the storage of a cascade whose vectors are tracking errors, with their units and `extent`."""
         units = {signal.label: signal.unit for signal in self._claim.loop.outputs}
-        pairs = [(ca.vec(pair.found) - ca.vec(pair.wanted), units[pair.actual]) for pair in self._claim.loop.goals]
+        pairs = [(ca.vec(pair.found) - ca.vec(pair.wanted), pair) for pair in self._claim.loop.goals]
         for term in consumer.certificate.storage:
             if isinstance(term, Square) and ca.SX(term.weight).is_column():
-                fitting = [(e, unit) for e, unit in pairs if e.shape == term.vector.shape]
-                for e, unit in fitting:
+                fitting = [(e, pair) for e, pair in pairs if e.shape == term.vector.shape]
+                for e, pair in fitting:
                     (joined,) = self._claim.loop.joined([e])
                     if any(self._symbols.vanishes("error", term.vector + sign * joined) for sign in (-1, 1)):
-                        yield term, unit
+                        yield term, units[pair.actual], extent(self._claim.loop, pair, self._over)
                         break
 
     @cached_property
@@ -265,7 +266,8 @@ def _at_the_tool(claim: Claim, found: Sequence[ErrorBound]) -> Iterator[ErrorBou
     largest = largest_jacobian(claim.diagram.robot)
     for bound in found:
         if bound.unit == "rad" and largest is not None:
-            yield replace(bound, signal=TOOL, value=largest * bound.value, unit="m")
+            moved = None if bound.moved is None else largest * bound.moved
+            yield replace(bound, signal=TOOL, value=largest * bound.value, unit="m", moved=moved)
 
 
 def _drawn(values: Sequence[Number], rng: np.random.Generator) -> list[float]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Final, Literal, final
 
 from dmframe.common.text import Text
 
 Kind = Literal["rms", "sup"]
+
+LARGE: Final = 1.0
+"""Bounds from here on are as large as the robot [rad or m]."""
 
 
 @final
@@ -42,6 +45,8 @@ class ErrorBound:
         The largest contribution.
     holds
         The motion that it refers to.
+    moved
+        Error of a robot that stands still at the start of its path, at most; None where it is not known.
     """
 
     signal: Text
@@ -52,6 +57,12 @@ class ErrorBound:
     disturbance: tuple[float, ...]
     dominated_by: Share
     holds: Literal["continuous time", "samples", "data"] = "continuous time"
+    moved: float | None = None
+
+    @property
+    def useful(self) -> bool:
+        """False for a bound that a robot that stands still meets, or one from `LARGE` on."""
+        return self.value < (LARGE if not self.moved else min(LARGE, self.moved))
 
 
 @final

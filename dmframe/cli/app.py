@@ -91,11 +91,14 @@ def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False)
     Exit status 1 if a printed law or a docstring differs from the code.
     """
     from dmframe.cli.graphs import one_graph
+    from dmframe.config.plausible import implausible
 
     loaded = one_graph(graph, overrides, trust=trust)
     loaded.intervals()
     loaded.check_units()
     tell(str(loaded))
+    for remark in implausible(loaded):
+        tell(f"notice: {remark}")
     try:
         notices = loaded.check_laws()
     except DmframeError as error:

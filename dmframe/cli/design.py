@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,8 @@ from dmframe.cli.arguments import NOTHING, home, robot_names
 from dmframe.cli.streams import tell
 
 BLOCKED = 1
+USUAL, MOST = 180, 600
+"""Usual and longest time of a design on two cores [s]."""
 
 
 def design(
@@ -52,6 +55,7 @@ def design(
     """
     from dmframe.cli import STOPPED
     from dmframe.cli.options import angles, whole
+    from dmframe.common.units import plain
     from dmframe.design.design import design as designed
     from dmframe.design.request import Request
     from dmframe.graph.progress import progress_line
@@ -59,6 +63,11 @@ def design(
     count = None if workers is None else whole("--workers", workers)
     held = tuple(angles("--hold", hold).items())
     request = Request.of(robot, task=task, clock=clock, payload=payload, log=log, tool=tool, hold=held, path=path)
+    tell(
+        f"about {USUAL // 60} to {MOST // 60} min, less in a folder with a part of it; Ctrl-C keeps what is done",
+        aside=True,
+    )
+    begin = time.monotonic()
     try:
         with progress_line(Path(robot).name) as say:
             found = designed(request, out, workers=count, say=say)
@@ -66,4 +75,5 @@ def design(
         tell(f"stopped; the finished runs are kept in {out}, the same command continues", aside=True)
         return STOPPED
     tell(json.dumps(found.summary, indent=2) if as_json else f"{found}\nreport: {found.report}")
+    tell(f"took {plain(time.monotonic() - begin, 's')}", aside=as_json)
     return BLOCKED if found.outcome == "blocked" else 0

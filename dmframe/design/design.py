@@ -73,7 +73,7 @@ def design(request: Request, out: str | Path, *, workers: int | None = None, say
     except RobotError as error:
         found = replace(found, reason=error.text)
     if found.outcome == "blocked":
-        found = replace(found, files=tuple(set_aside(folder, None)))
+        found = replace(found, files=tuple(set_aside(folder, "", None)))
     say("writing the report")
     _write(found)
     return found

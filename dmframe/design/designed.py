@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from dmframe.design.decide import Candidate, Ranking
 
 Outcome = Literal["adaptive", "simple", "blocked"]
 GRAPH: Final = "graph.yaml"
+"""The graph of designs before 0.3; later ones are named by `graph_name`."""
 REPORT: Final = "report.html"
 SUMMARY: Final = "design.json"
 RACE: Final = "race.yaml"
@@ -95,7 +97,9 @@ class Designed:
     @property
     def graph(self) -> Path | None:
         """File of the handed-over graph."""
-        return None if self.outcome == "blocked" else self.folder / GRAPH
+        if self.outcome == "blocked":
+            return None
+        return self.folder / (GRAPH if self.chosen is None else graph_name(self.robot, self.chosen.law, self.clock))
 
     @property
     def report(self) -> Path:
@@ -140,6 +144,12 @@ class Designed:
         lines += [f"  assumed: {text}" for text in self.assumed]
         lines += [f"  {name:<14} {about}" for name, about in self.files]
         return "\n".join(lines)
+
+
+def graph_name(robot: str, law: str, clock: float) -> str:
+    """File of a graph, ``ur5e_experts_8ms.yaml``; `robot` is a name or a file, `clock` in s."""
+    words = [robot.partition(".")[0], law, f"{1000 * clock:.6g}ms"]
+    return re.sub(r"\W+", "_", "_".join(words)) + ".yaml"
 
 
 def finite(candidate: Candidate | None) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from dmframe.common.files import write_text, writing
 from dmframe.common.units import plain
 from dmframe.design.checks import REHEARSED
 from dmframe.design.decide import Candidate
-from dmframe.design.designed import COMMANDS, CONTROLLER, GRAPH, LIMITS, PAGE, RACE, RESULTS, Check, Designed
+from dmframe.design.designed import COMMANDS, CONTROLLER, GRAPH, LIMITS, PAGE, RACE, RESULTS, SUMMARY, Check, Designed
 from dmframe.design.progress import Progress
 from dmframe.design.request import Request
 from dmframe.graph.graph import Graph
@@ -31,11 +32,13 @@ def handed_over(
     progress: Progress,
 ) -> Designed:
     """Write the graph, its C code and its page; a graph that was there is kept."""
-    folder = found.folder
-    files = [(GRAPH, "the controller on the nominal servo: run, verify, analyse, rehearse, drive")]
-    files += set_aside(folder, graph.text)
-    write_graph(graph, folder / GRAPH)
-    saved = Graph.read(folder / GRAPH)
+    folder, found = found.folder, replace(found, chosen=chosen, other=other)
+    assert found.graph is not None
+    name = found.graph.name
+    files = [(name, "the controller on the nominal servo: run, verify, analyse, rehearse, drive")]
+    files += set_aside(folder, name, graph.text)
+    write_graph(graph, found.graph)
+    saved = Graph.read(found.graph)
     if not (folder / CONTROLLER).exists():
         progress.say("export", "writing C")
         saved.export(folder / CONTROLLER)
@@ -52,45 +55,56 @@ def handed_over(
     write_text(folder / COMMANDS, commands(found))
     files.append((COMMANDS, "the commands that repeat all of it"))
     files.append((f"{RESULTS}/report.html", "the comparison of the laws, cell by cell"))
-    return replace(found, chosen=chosen, other=other, checks=tuple(checks), files=tuple(files))
+    return replace(found, checks=tuple(checks), files=tuple(files))
 
 
-def set_aside(folder: Path, text: str | None) -> list[tuple[str, str]]:
-    """Move a graph with another text, which a user may have edited, with its C code and page to a folder ``before``.
+def set_aside(folder: Path, name: str, text: str | None) -> list[tuple[str, str]]:
+    """Move the graph of an earlier design, with its C code and page, to a folder ``before``.
+
+    It stays if it has the same name and text; otherwise a user may have edited it.
 
     Parameters
     ----------
-    text
-        The graph that will be written; None if there is none.
+    name, text
+        Of the graph that will be written; None for the text if there is none.
 
     Returns
     -------
     list
         The file of the graph and what it is; empty if none was moved.
     """
-    graph = folder / GRAPH
-    if not graph.exists() or (text is not None and graph.read_text(encoding="utf-8", errors="replace") == text):
+    graph = _earlier(folder)
+    same = graph.name == name and text is not None
+    if not graph.exists() or (same and graph.read_text(encoding="utf-8", errors="replace") == text):
         return []
     place = next(place for k in range(1, 10_000) if not (place := folder / BEFORE / str(k)).exists())
     with writing(folder, "folder"):
         place.mkdir(parents=True)
-        for name in (CONTROLLER, PAGE, COMMANDS, GRAPH):
-            if (folder / name).exists():
-                (folder / name).rename(place / name)
-    return [(f"{BEFORE}/{place.name}/{GRAPH}", "the graph that was here before, with its C code and page")]
+        for each in (CONTROLLER, PAGE, COMMANDS, graph.name):
+            if (folder / each).exists():
+                (folder / each).rename(place / each)
+    return [(f"{BEFORE}/{place.name}/{graph.name}", "the graph that was here before, with its C code and page")]
+
+
+def _earlier(folder: Path) -> Path:
+    """The graph of the design that the folder has; it may not exist."""
+    try:
+        name = Path(json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["graph"]).name
+    except (OSError, ValueError, KeyError, TypeError):
+        name = GRAPH
+    return folder / name
 
 
 def commands(found: Designed) -> str:
     """The commands that repeat a design."""
-    folder = shlex.quote(str(found.folder))
+    folder, graph = shlex.quote(str(found.folder)), shlex.quote(str(found.graph))
     lines = [
         found.command,
         f"dmframe race {folder}/{RACE} --out {folder}/{RESULTS}",
-        f"dmframe verify {folder}/{GRAPH}",
-        f"dmframe analyse {folder}/{GRAPH}",
-        f"dmframe rehearse {folder}/{GRAPH} --until {REHEARSED:g} --payload '{found.payload:.6g} kg' "
-        f"--limits {folder}/{LIMITS}",
-        f"dmframe run {folder}/{GRAPH}",
+        f"dmframe verify {graph}",
+        f"dmframe analyse {graph}",
+        f"dmframe rehearse {graph} --until {REHEARSED:g} --payload '{found.payload:.6g} kg' --limits {folder}/{LIMITS}",
+        f"dmframe run {graph}",
     ]
     return "\n".join(lines) + "\n"
 

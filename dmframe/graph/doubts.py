@@ -1,4 +1,4 @@
-"""Notices that cannot be derived from a run: a path out of reach, and a sampled loop that is unstable."""
+"""Notices that cannot be derived from a run: implausible times, a path out of reach, an unstable sampled loop."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Final
 from dmframe.block.model import SYMBOLIC
 from dmframe.common.units import plain
 from dmframe.config import BaseGraph
+from dmframe.config.plausible import implausible
 from dmframe.simulate import Recording
 
 LONG: Final = 10.0
@@ -18,9 +19,8 @@ def doubts(graph: BaseGraph, recording: Recording) -> tuple[str, ...]:
     from dmframe.certify.reach import out_of_reach
 
     with SYMBOLIC:
-        left = tuple(
-            f"{text}: no controller can track it there" for text in out_of_reach(graph.diagram, recording.duration)
-        )
+        far = [f"{text}: no controller can track it there" for text in out_of_reach(graph.diagram, recording.duration)]
+    left = (*implausible(graph), *far)
     if graph.clock is None or recording.divergence is not None or recording.duration < LONG:
         return left
     from dmframe.analysis.period import TOLERANCE, sampled_radius

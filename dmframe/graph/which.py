@@ -114,6 +114,22 @@ class Selection:
         return [f"dmframe new {self.take.graph} mine.yaml", f"dmframe run mine.yaml{changed}"]
 
     @property
+    def transfer(self) -> str:
+        """What of the answer holds for another robot than that of the graph."""
+        return (
+            "the kind of law follows from your answers, and its proof from its conditions, which `dmframe verify` "
+            "decides for your robot; gains, path and errors do not carry over"
+        )
+
+    @property
+    def elsewhere(self) -> list[str]:
+        """Commands for another robot."""
+        if self.answers["servo"] == "torque":  # a design commands velocities
+            return [f"dmframe new {self.take.graph} mine.yaml", "dmframe verify mine.yaml"]
+        period = self.answers[PERIOD]
+        return [f"dmframe design ROBOT --period '{period}' --out DIR", "dmframe race DIR/race.yaml --out DIR/race"]
+
+    @property
     def summary(self) -> dict[str, Any]:
         """For JSON."""
         return {
@@ -125,6 +141,8 @@ class Selection:
             **{key: value for key, value in self.take.summary.items() if key not in ("graph", "if")},
             "others": [each.summary for each in self.others],
             "commands": self.commands,
+            "transfer": self.transfer,
+            "elsewhere": self.elsewhere,
         }
 
     def __str__(self) -> str:
@@ -139,6 +157,8 @@ class Selection:
             yield f"  {each}"
         yield "next:"
         yield from (f"  {command}" for command in self.commands)
+        yield f"for another robot: {self.transfer}"
+        yield from (f"  {command}" for command in self.elsewhere)
 
 
 @final

@@ -51,6 +51,12 @@ class Analysis(AboutGraph):
         """Stability of the linearised loop and of the simulated run, in one sentence."""
         return f"{self._near} {self._run}"
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What blocks remark on their parameters, such as a gain that follows from margins."""
+        found = {name: block.remark() for name, block in self.graph.blocks.items()}
+        return tuple(f"{name}: {text}" for name, text in found.items() if text)
+
     @cached_property
     def _view(self) -> LinearView:
         return rows_of(self.name, self.found)
@@ -100,6 +106,7 @@ class Analysis(AboutGraph):
         parts = [
             f"{self.name}: {self.graph.file.title}".rstrip(": "),
             "",
+            *(line for remark in self.remarks for line in (*textwrap.wrap(remark, 112), "")),
             "joint loops: servo, motor, diagonal of M and viscous friction at the set-point, other joints locked",
             *(line for friction in self.found.left_out for line in textwrap.wrap(str(friction), 112)),
             columns([JOINT_HEADS, *view.joints]),
@@ -124,7 +131,7 @@ class Analysis(AboutGraph):
         view, gains = self._view, self.found.reference_gains
         return (
             notebook.heading(self.name, self.graph.file.title)
-            + notebook.paragraphs([self.conclusion])
+            + notebook.paragraphs([*self.remarks, self.conclusion])
             + notebook.table([row[:2] for row in view.periods], ("largest stable sampling period", ""))
             + notebook.table(view.loop, LOOP_HEADS)
             + notebook.table(view.joints, JOINT_HEADS)

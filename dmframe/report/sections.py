@@ -29,7 +29,7 @@ from dmframe.report.parts import (
     Word,
 )
 from dmframe.report.terms import TermRow, Terms
-from dmframe.report.verdict_text import disturbance_of, lowering_of, size_of
+from dmframe.report.verdict_text import disturbance_of, lowering_of, size_of, useless_of
 
 _SIDES: Final = {"source": "desired trajectory", "controller": "controller", "plant": "robot and servo"}
 _KINDS: Final = {"rms": "root mean square", "sup": "largest value"}
@@ -297,7 +297,9 @@ def _error_bounds(r: Content) -> Iterator[Part]:
         ("Largest contribution: ", Formula(share.of.latex) if share.of_start else share.of, f"{lowering_of(share)}.")
         for share in shares
     ]
-    yield Bullets([*contributions, *((f"{text[0].upper()}{text[1:]}.",) for text in r.errors.missing)])
+    remark = useless_of(r.errors.found)
+    useless = [f"{remark[0].upper()}{remark[1:]}."] if remark else []
+    yield Bullets([*useless, *contributions, *((f"{text[0].upper()}{text[1:]}.",) for text in r.errors.missing)])
 
 
 def _run(r: Content) -> Iterator[Part]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from textwrap import fill
 from typing import Any, Final
 
@@ -20,14 +20,13 @@ from dmframe.diagram.wiring import Wire
 
 HARD: Final = "\N{NO-BREAK SPACE}"
 WIDEST: Final = 116
-LARGE: Final = 1.0
-"""Bounds from here on are not printed: they are as large as the robot [rad or m]."""
 NORMS: Final = {"rms": "root mean square of |{}|", "sup": "largest |{}|"}
 
 
-def verdict_text(name: str, verdict: Verdict, *, times: bool = True) -> str:
-    """Terminal page; `name` is the name of the graph."""
-    parts = [f"{name}: {verdict.headline}", fill(f"  {verdict.reason.unicode}", **_wrapped())]
+def verdict_text(name: str, verdict: Verdict, *, times: bool = True, notices: Sequence[str] = ()) -> str:
+    """Terminal page; `name` is the name of the graph, and `notices` are printed below the headline."""
+    parts = [f"{name}: {verdict.headline}", *(fill(f"  notice: {text}", **_wrapped()) for text in notices)]
+    parts.append(fill(f"  {verdict.reason.unicode}", **_wrapped()))
     if verdict.claim is not None:
         parts.append(f"  model {short(verdict.claim.diagram.fingerprint)}: runs, exports and pages store this hash")
     if verdict.test is not None and verdict.test.zero:
@@ -106,6 +105,8 @@ def _error_bounds(verdict: Verdict) -> Iterator[str]:
     yield f"  bounds over {over} from the graph's start, in {holds}; {disturbance_of(found[0])}"
     rows = [(NORMS[bound.kind].format(bound.signal.unicode), size_of(bound)) for bound in found]
     yield columns(rows, "    ")
+    if remark := useless_of(found):
+        yield _wrap(remark)
     for contribution in dict.fromkeys(map(contribution_of, found)):
         yield _wrap(contribution)
     for reason in verdict.errors.missing:
@@ -122,9 +123,21 @@ def disturbance_of(bound: ErrorBound) -> str:
 
 
 def size_of(bound: ErrorBound) -> str:
-    """The bound with its unit."""
-    small = bound.value < LARGE
-    return f"≤ {plain(rounded_up(bound.value), bound.unit)}" if small else f"no bound below {LARGE:g} {bound.unit}"
+    """The bound with its unit, or that it is of no use."""
+    value = plain(rounded_up(bound.value), bound.unit)
+    return f"≤ {value}" if bound.useful else f"no useful bound ({value})"
+
+
+def useless_of(found: Sequence[ErrorBound]) -> str:
+    """Why bounds are of no use; empty if all are useful."""
+    useless = [bound for bound in found if not bound.useful]
+    still = [
+        f"|{bound.signal.unicode}| ≤ {plain(bound.moved, bound.unit)}"
+        for bound in {bound.signal.unicode: bound for bound in useless}.values()
+        if bound.moved
+    ]
+    why = f"a robot at rest at the start of its path has {' and '.join(still)}" if still else ""
+    return f"no useful bound: {why or 'it is as large as the robot'}" if useless else ""
 
 
 def rounded_up(value: float, digits: int = 3) -> float:

@@ -15,6 +15,7 @@ from dmframe.common.errors import DmframeError
 from dmframe.common.files import expanded
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
+from dmframe.config.plausible import implausible
 from dmframe.report.verdict_text import verdict_text
 
 if TYPE_CHECKING:
@@ -100,7 +101,12 @@ class Verification(AboutGraph):
     @property
     def summary(self) -> dict[str, Any]:
         """Data that ``dmframe verify --json`` prints."""
-        return summary(self.name, self.verdict)
+        return {**summary(self.name, self.verdict), "notices": list(self.notices)}
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Times and rates of the graph outside of plausible ranges."""
+        return implausible(self.graph)
 
     def report(self, path: str | Path, *, sections: Sequence[Callable[[Content], Section]] = ()) -> Path:
         """Simulate the graph and write the report: web page, Markdown or JSON by the ending of `path`.
@@ -133,7 +139,7 @@ class Verification(AboutGraph):
         return _restored, (self.graph, verdict, self.seed, self.label)
 
     def __str__(self) -> str:
-        text = verdict_text(self.name, self.verdict)
+        text = verdict_text(self.name, self.verdict, notices=self.notices)
         return f"{text}\n  {self._advice}" if self._advice else text
 
     @property

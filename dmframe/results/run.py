@@ -73,7 +73,7 @@ class Run(AboutGraph):
 
     @property
     def divergence(self) -> Divergence | None:
-        """First non-finite state, if any."""
+        """First state that is not finite or beyond its bound, or a tracking error that grows; None without any."""
         return self.recording.divergence
 
     @property
@@ -226,7 +226,7 @@ class Run(AboutGraph):
         from dmframe.results.figures import error_picture
 
         rows = [row(self)]
-        notes = [*(f"notice: {notice}" for notice in self.notices), *map(str, self.shown), *ended(self)]
+        notes = [*ended(self), *(f"notice: {notice}" for notice in self.notices), *map(str, self.shown)]
         return (
             notebook.heading(self.name, self.graph.file.title)
             + notebook.table(rows, HEADS)
@@ -313,18 +313,18 @@ def table_of(runs: Sequence[Run]) -> str:
 
 
 def numbers_of(runs: Sequence[Run]) -> str:
-    """Table of runs without V, whose evaluation takes longer than a short run."""
-    return "\n".join([columns([HEADS, *map(row, runs)], indent="", right=RIGHT), NOTE])
+    """Ends of runs and their table, without V, whose evaluation takes longer than a short run."""
+    ends = [f"{run.name}: {text}" for run in runs for text in ended(run)]
+    return "\n".join([*ends, columns([HEADS, *map(row, runs)], indent="", right=RIGHT), NOTE])
 
 
 def notes_of(runs: Sequence[Run]) -> list[str]:
-    """Warnings, reported estimates and end of each run."""
+    """Warnings and reported estimates of each run."""
     lines = list[str]()
     for run in runs:
         lines += [f"{run.name}: {text}" for text in integrated(run)]
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
         lines += [f"{run.name}: {item}" for item in run.shown]
-        lines += [f"{run.name}: {text}" for text in ended(run)]
     return lines
 
 

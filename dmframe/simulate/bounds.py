@@ -1,22 +1,27 @@
-"""Divergence of a run: non-finite states, or states beyond physical bounds."""
+"""Divergence of a run: non-finite states, or states beyond physical bounds.
+
+Errors that grow while all states stay within their bounds: `dmframe.simulate.growth`.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from dmframe.block.port import Side
 from dmframe.common.errors import EngineError
-from dmframe.common.units import plain
+from dmframe.common.units import plain, sliding
 from dmframe.diagram import Diagram, Variable
 
 TIMES: Final = 100.0
 """Multiple of a joint's velocity limit that counts as divergence."""
 LARGEST: Final = 1e10
 """Bound of any other state, in its unit."""
+POSITION: Final = "q"
+"""Name of the plant state with the joint positions."""
 
 
 @final
@@ -37,18 +42,37 @@ class Divergence:
 def bounds_of(diagram: Diagram) -> np.ndarray:
     """Bounds of all states, the controller's first, as one column.
 
-    Joint velocities: `TIMES` the limit in the robot's file. Other states: `LARGEST`.
+    Joint positions: the limits in the robot's file, and beyond them once more the whole range; a joint without limits
+    has no such bound. Joint velocities: `TIMES` the limit. Other states: `LARGEST`.
     """
-    loop, robot = diagram.loop, diagram.robot
+    loop = diagram.loop
     parts = [np.zeros(0)]
     for variable in loop.variables:
-        bounds = np.full(variable.symbol.numel(), LARGEST)
-        plant = diagram.blocks[variable.block].side is Side.PLANT
-        if robot is not None and plant and variable.unit == "rad/s" and variable.shape == "n":
-            limits = [TIMES * joint.velocity for joint in robot.joints]
-            bounds = np.array([limit if math.isfinite(limit) and limit > 0 else LARGEST for limit in limits])
-        parts.append(bounds)
+        limits = np.full(variable.symbol.numel(), LARGEST)
+        if is_position(diagram, variable):
+            lower, upper = ranges(diagram.robot)
+            limits = np.maximum(np.abs(lower), np.abs(upper)) + upper - lower
+        elif diagram.robot is not None and _of_joints(diagram, variable, "rad/s"):
+            limits = np.array([TIMES * joint.velocity for joint in diagram.robot.joints])
+        parts.append(np.where(np.isfinite(limits) & (limits > 0), limits, LARGEST))
     return np.concatenate(parts)
+
+
+def is_position(diagram: Diagram, variable: Variable) -> bool:
+    """True for the joint positions of the robot."""
+    return diagram.robot is not None and variable.name == POSITION and _of_joints(diagram, variable, "rad")
+
+
+def ranges(robot: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper limits of the joints, infinite where the file has none or two equal ones."""
+    limits = [(joint.lower, joint.upper) for joint in robot.joints]
+    lower, upper = np.array([pair if pair[0] < pair[1] else (-math.inf, math.inf) for pair in limits]).T
+    return lower, upper
+
+
+def _of_joints(diagram: Diagram, variable: Variable, unit: str) -> bool:
+    plant = diagram.blocks[variable.block].side is Side.PLANT
+    return plant and variable.unit == unit and variable.shape == "n"
 
 
 def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float) -> Divergence:
@@ -56,7 +80,8 @@ def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float)
     infinite = np.flatnonzero(~np.isfinite(state))
     row = int((infinite if infinite.size else np.flatnonzero(np.abs(state) > bounds))[0])
     variable, element = located(diagram, row)
-    return Divergence(variable.block, variable.name, element, time, _how(bounds[row], variable, infinite.size))
+    how = Divergence.how if infinite.size else _how(diagram, variable, element, float(bounds[row]))
+    return Divergence(variable.block, variable.name, element, time, how)
 
 
 def located(diagram: Diagram, row: int) -> tuple[Variable, int]:
@@ -68,8 +93,14 @@ def located(diagram: Diagram, row: int) -> tuple[Variable, int]:
     raise EngineError("a state outside the diagram diverged")
 
 
-def _how(bound: float, variable: Variable, infinite: int) -> str:
-    if infinite:
-        return Divergence.how
-    limit = f", {TIMES:g} times the joint's limit," if bound < LARGEST else ""
-    return f"is beyond {plain(float(bound), variable.unit)}{limit}"
+def _how(diagram: Diagram, variable: Variable, element: int, bound: float) -> str:
+    joint = diagram.robot.joints[element] if bound < LARGEST and diagram.robot is not None else None
+    if joint is None:
+        return f"is beyond {plain(bound, variable.unit)}"
+    unit = variable.unit if joint.kind == "revolute" else sliding(variable.unit)
+    if not is_position(diagram, variable):
+        return f"is beyond {plain(bound, unit)}, {TIMES:g} times the limit of {joint.name},"
+    limits = f"{plain(joint.lower, unit)} to {plain(joint.upper, unit)}"
+    return (
+        f"is beyond {plain(bound, unit)}, farther outside of the limits of {joint.name} ({limits}) than they are apart,"
+    )

@@ -21,6 +21,7 @@ from dmframe.simulate.accuracy import Pilot
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.bounds import Divergence, bounds_of
 from dmframe.simulate.engine import Choice, Compiled, Engine, choose
+from dmframe.simulate.growth import growth
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.march import End, Progress, divergence_of, march
@@ -30,7 +31,15 @@ from dmframe.simulate.solver import FIXED, MOST_SUBSTEPS, Method, Solver, subste
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import Step, build_step
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, omitted_terms, speed_of, stiffness
-from dmframe.simulate.warnings import channel_models, exceptions, off_path, too_fast, unread, warning_signals
+from dmframe.simulate.warnings import (
+    channel_models,
+    exceptions,
+    off_path,
+    out_of_range,
+    too_fast,
+    unread,
+    warning_signals,
+)
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""
@@ -235,11 +244,10 @@ class Prepared:
         wall = time.perf_counter() - begin
         with SYMBOLIC:
             divergence = divergence_of(diagram, self.step, end, done, state, p)
-            return replace(
-                self._recording(diagram, engine, rows, divergence, end, wall, stiff),
-                start=start,
-                instants=self.step.instants,
-            )
+            found = self._recording(diagram, engine, rows, divergence, end, wall, stiff)
+            if end is End.DONE:
+                found = replace(found, divergence=growth(diagram, {**found.states, **found.outputs}, found.time))
+            return replace(found, start=start, instants=self.step.instants)
 
     def _recording(
         self,
@@ -258,6 +266,7 @@ class Prepared:
         violations = [
             *exceptions(diagram, warning_signals(diagram), columns, times),
             *too_fast(diagram, columns, times),
+            *out_of_range(diagram, columns, times),
             *off_path(diagram, columns),
         ]
         channels = channel_models(diagram)

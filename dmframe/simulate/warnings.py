@@ -8,10 +8,11 @@ import numpy as np
 
 from dmframe.block.port import Access
 from dmframe.common.errors import listed
-from dmframe.common.units import plain
+from dmframe.common.units import plain, sliding
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 from dmframe.diagram.wiring import Way
+from dmframe.simulate.bounds import is_position, ranges
 
 
 def warning_signals(diagram: Diagram) -> list[Signal]:
@@ -99,6 +100,32 @@ def too_fast(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndar
                     f"{plain(speed, port.unit)} of {diagram.robot.joints[joint].name} at t = {times[row]:.6g} s, whose "
                     f"limit is {plain(most, port.unit)}; no block limits it"
                 )
+    return found
+
+
+BEYOND = 1e-3
+"""Fraction of a joint's range by which it may leave its limits without a warning, as at an elastic stop."""
+
+
+def out_of_range(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndarray) -> list[str]:
+    """Warnings about joint positions outside of the limits in the robot's file."""
+    found = list[str]()
+    for variable in diagram.loop.plant:
+        if not is_position(diagram, variable) or variable.label not in columns:
+            continue
+        (lower, upper), q = ranges(diagram.robot), columns[variable.label]
+        width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        beyond = np.nan_to_num(np.maximum(lower - q, q - upper) / width, nan=0.0, posinf=0.0, neginf=0.0)
+        out = np.flatnonzero(np.any(beyond > BEYOND, axis=1))
+        if out.size:
+            row, k = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+            joint = diagram.robot.joints[k]
+            unit = variable.unit if joint.kind == "revolute" else sliding(variable.unit)
+            found.append(
+                f"{variable.label} leaves the robot's joint limits, first at t = {times[out[0]]:.6g} s: {joint.name} "
+                f"is at {plain(float(q[row, k]), unit)} at t = {times[row]:.6g} s, its limits are "
+                f"{plain(joint.lower, unit)} and {plain(joint.upper, unit)}; the simulated joint has no stops"
+            )
     return found
 
 

@@ -188,7 +188,7 @@ def test_the_citation_file_has_the_version_of_the_distribution() -> None:
 def test_the_reference_lists_every_key_of_the_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     text = read("docs", "reference", "command_line.md")
-    for words in (["run", "arm2_joint", "--until", "0.1", "--no-plots", "--json"], ["verify", "arm2_joint", "--json"]):
+    for words in (["run", "pendulum", "--until", "0.02", "--no-plots", "--json"], ["verify", "pendulum", "--json"]):
         reported = CliRunner().invoke(app, words)
         assert all(f"`{key}`" in text for key in json.loads(reported.stdout)), words
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any, final
 from xml.etree import ElementTree
@@ -405,3 +406,11 @@ def test_blocks_between_servo_and_arm_are_named(reality: str, between: str) -> N
     graph = Graph.read("ur10_slow_kinematic", [f"reality={reality}"])
     with pytest.raises(MissingError, match=f"expected one that drives arm itself, found {between} in between"):
         servo_transfer(graph.diagram, start=graph.start)
+
+
+def test_a_gain_that_follows_from_margins_is_remarked_and_a_given_one_is_not() -> None:
+    block = Graph.read("ur10_fast_inverse_tuned").blocks["task"]
+    text = block.remark()
+    assert text.startswith("Lambda is derived at each sampling period T from gain_margin 1.2 and delay_margin 2")
+    assert f"T Lambda = {2 * math.sin(math.pi / 10) / 1.2:.3g}" in text
+    assert Graph.read("ur10_slow_kinematic_inverse").blocks["task"].remark() == ""

@@ -47,6 +47,15 @@ def test_json_holds_the_answers_the_graph_and_its_errors_in_mm(dmframe: Any, fou
     assert [other["graph"] for other in data["others"]] == ["ur10_fast_best", "known_tracking_p_pi"]
 
 
+def test_an_answer_says_what_holds_for_another_robot_and_how_to_go_on_with_it(dmframe: Any, found: Guide) -> None:
+    out = dmframe("which", *STIFF).out
+    assert "for another robot: the kind of law follows from your answers" in out
+    assert "dmframe design ROBOT --period '8 ms' --out DIR" in out
+    for answers in every(found):
+        commands = found.select(answers).summary["elsewhere"]
+        assert any(command.startswith("dmframe design") for command in commands) != (answers["servo"] == "torque")
+
+
 def test_a_period_other_than_the_graphs_is_set(dmframe: Any) -> None:
     words = [*STIFF]
     words[3] = "20 ms"

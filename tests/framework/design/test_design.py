@@ -18,7 +18,7 @@ from dmframe.design import design as module
 from dmframe.design.checks import rehearsed
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, Ranking, worth
-from dmframe.design.designed import Check, Designed
+from dmframe.design.designed import Check, Designed, graph_name
 from dmframe.design.family import HELD_OUT, TRAINING, makers
 from dmframe.design.handover import set_aside
 from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of, tool_motion
@@ -202,18 +202,27 @@ def test_the_reason_against_the_best_adaptive_law_is_that_of_its_best_values(
 
 
 def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path: Path) -> None:
-    assert set_aside(tmp_path, "new") == []
+    assert set_aside(tmp_path, "graph.yaml", "new") == []
     (tmp_path / "graph.yaml").write_text("edited")
     (tmp_path / "controller").mkdir()
     (tmp_path / "page.html").write_text("page")
-    assert set_aside(tmp_path, "edited") == []
-    assert set_aside(tmp_path, "new")[0][0] == "before/1/graph.yaml"
+    assert set_aside(tmp_path, "graph.yaml", "edited") == []
+    assert set_aside(tmp_path, "graph.yaml", "new")[0][0] == "before/1/graph.yaml"
     assert not (tmp_path / "graph.yaml").exists()
     assert not (tmp_path / "controller").exists()
     assert (tmp_path / "before" / "1" / "page.html").read_text() == "page"
     (tmp_path / "graph.yaml").write_text("again")
-    assert set_aside(tmp_path, None)[0][0] == "before/2/graph.yaml"
+    assert set_aside(tmp_path, "", None)[0][0] == "before/2/graph.yaml"
     assert (tmp_path / "before" / "1" / "graph.yaml").read_text() == "edited"
+    (tmp_path / "design.json").write_text('{"graph": "elsewhere/arm_experts_8ms.yaml"}')
+    (tmp_path / "arm_experts_8ms.yaml").write_text("same")
+    assert set_aside(tmp_path, "arm_experts_8ms.yaml", "same") == []
+    assert set_aside(tmp_path, "arm_level_8ms.yaml", "same")[0][0] == "before/3/arm_experts_8ms.yaml"
+
+
+def test_a_graph_is_named_after_robot_law_and_clock() -> None:
+    assert graph_name("ur5e", "experts", 0.008) == "ur5e_experts_8ms.yaml"
+    assert graph_name("my arm.urdf.xacro", "level", 0.0025) == "my_arm_level_2_5ms.yaml"
 
 
 def test_the_rest_is_estimated_from_what_was_done_since_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,7 +320,7 @@ def test_a_robot_gets_a_controller_that_is_proved_and_rehearsed_or_the_simple_on
         assert found.other is not None
         assert found.chosen.error < 0.8 * found.other.error
     assert graph.run(until=20.0).error.rms_by_eighth[-1] < 0.01
-    assert {name for name, _ in found.files} >= {"graph.yaml", "controller/", "commands.txt"}
+    assert {name for name, _ in found.files} >= {"controller/", "commands.txt", f"ur3e_{found.chosen.law}_8ms.yaml"}
     again = module.design(Request.of("ur3e", payload="0..1"), tmp_path)
     assert again.summary == found.summary
 

@@ -15,7 +15,7 @@ OUTSIDE = """[...document.querySelectorAll("body *")].filter((e) => e.getBoundin
   && !e.closest("svg, math, table, .equations, .f, .signal")).map((e) => e.outerHTML.slice(0, 80))"""
 
 
-@pytest.mark.parametrize("name", ["arm2_joint", "ur10_fast"])
+@pytest.mark.parametrize("name", ["pendulum", "ur10_fast"])
 def test_a_report_is_not_wider_than_its_window(tab: Chromium, tmp_path: Path, name: str) -> None:
     page = tmp_path / "report.html"
     dm.load(name).until("0.2 s").verify().report(page)
