@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.common.errors import DmframeError, EngineError, ValueFault, raise_all
+from dmframe.common.errors import DmframeError, ValueFault, raise_all
 from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
@@ -27,7 +26,7 @@ from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.march import End, Progress, divergence_of, march
 from dmframe.simulate.rank import ranks, watched
 from dmframe.simulate.recording import Recording
-from dmframe.simulate.solver import FIXED, MOST_SUBSTEPS, Method, Solver, substeps_of
+from dmframe.simulate.solver import FIXED, MOST_SUBSTEPS, Method, Solver, ticks_of
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import Step, build_step
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, omitted_terms, speed_of, stiffness
@@ -43,9 +42,6 @@ from dmframe.simulate.warnings import (
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""
-
-MOST_TICKS = 10_000_000_000
-"""Maximum number of ticks; hours of computation for a small loop."""
 
 
 def simulate(
@@ -320,29 +316,6 @@ def prepare(
             f"{plain(whole, 's')} are simulated, not {plain(duration, 's')}: whole ticks of {plain(step.period, 's')}",
         )
     return Prepared(clock, solver, step, ticks, matrices, kept, notices=notice, starts=diagram.loop.derived)
-
-
-def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
-    """Number of ticks of a run; raises `ValueFault` and `EngineError` for invalid times."""
-    for name, value in (("duration", duration), ("clock", clock)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
-    if clock is not None and clock > duration * (1 + 1e-9):
-        raise ValueFault(
-            f"clock: expected at most the simulated time, {plain(duration, 's')}, found {plain(clock, 's')}; take a "
-            "faster clock, or run longer",
-            path=("clock",),
-        )
-    substeps_of(clock, solver)
-    ticks = duration / (clock if clock is not None else solver.output)
-    if ticks > MOST_TICKS:
-        slower = "a slower clock" if clock is not None else "a longer solver.output"
-        raise EngineError(
-            f"duration: a run of {ticks:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
-            f"run a shorter time or take {slower}",
-            path=("duration",),
-        )
-    return max(1, round(ticks))
 
 
 def check_clock(diagram: Diagram, clock: float | None, jitter: float) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, final, get_args
 
 from dmframe.common.errors import EngineError, ValueFault
+from dmframe.common.units import plain
 
 Method = Literal["rk4", "ros34pw2", "cvodes"]
 """Fixed-step fourth-order Runge-Kutta; a fixed-step Rosenbrock method of third order for stiff plants; SUNDIALS'
@@ -20,6 +21,9 @@ RK4_STABLE = 2.785
 
 MOST_SUBSTEPS = 2000
 """Maximum fixed steps in a tick; the function of a tick contains all of them."""
+
+MOST_TICKS = 10_000_000_000
+"""Maximum number of ticks; hours of computation for a small loop."""
 
 PLAIN_STEP = 0.001
 """Default maximum step of rk4 [s]."""
@@ -120,3 +124,26 @@ def substeps_of(clock: float | None, solver: Solver) -> int:
             path=("solver", "step"),
         )
     return max(1, math.ceil(round(steps, 9)))
+
+
+def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
+    """Number of ticks of a run; raises `ValueFault` and `EngineError` for invalid times."""
+    for name, value in (("duration", duration), ("clock", clock)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
+    if clock is not None and clock > duration * (1 + 1e-9):
+        raise ValueFault(
+            f"clock: expected at most the simulated time, {plain(duration, 's')}, found {plain(clock, 's')}; take a "
+            "faster clock, or run longer",
+            path=("clock",),
+        )
+    substeps_of(clock, solver)
+    ticks = duration / (clock if clock is not None else solver.output)
+    if ticks > MOST_TICKS:
+        slower = "a slower clock" if clock is not None else "a longer solver.output"
+        raise EngineError(
+            f"duration: a run of {ticks:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
+            f"run a shorter time or take {slower}",
+            path=("duration",),
+        )
+    return max(1, round(ticks))
