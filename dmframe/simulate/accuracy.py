@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, final
 
+import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
@@ -62,6 +63,8 @@ _STEPS: Final = tuple(sorted({k * 10**e // 10 for e in range(3) for k in (10, 12
 """Numbers of steps in a tick that are tried."""
 _DOUBLINGS: Final = 4
 """Number of times that automatic steps are halved."""
+_ROUNDING: Final = frozenset((ca.OP_FLOOR, ca.OP_CEIL))
+"""Operations of an encoder."""
 _NOTICEABLE: Final = 4
 """Multiple of the automatic number of steps that must halve the error; otherwise no number is taken to reduce it."""
 _RUNS: Final = 3
@@ -270,7 +273,7 @@ class Pilot:
             try:
                 estimate = compared.estimate(own)
                 found, better = replace(found, estimate=estimate), None
-                if estimate.error > accuracy and not written:
+                if estimate.error > accuracy and not (written or self._rounds):
                     better = self._cheapest(compared, accuracy, work_of(own.step))
             except KeyboardInterrupt:
                 return replace(found, interrupted=True)
@@ -290,9 +293,17 @@ class Pilot:
         )
         return replace(better, notices=(*better.notices, notice))
 
+    @property
+    def _rounds(self) -> bool:
+        """True without an accuracy in the graph if its law rounds, which turns any error into quanta."""
+        sample = self.base.step.parts.sample
+        return not self.base.solver.free and any(
+            sample.instruction_id(k) in _ROUNDING for k in range(sample.n_instructions())
+        )
+
     def _missed(self, found: Recording, estimate: Estimate, accuracy: float, *, written: bool) -> Recording:
-        """The recording with a notice that it misses the accuracy; not for a written step without an accuracy."""
-        if written and not self.base.solver.free:
+        """The recording with a notice that it misses the accuracy, if that was stated or steps were tried."""
+        if not self.base.solver.free and (written or self._rounds):
             return found
         remedy = "set a shorter solver.step" if written else "shorter steps do not keep it, and are not taken"
         notice = (

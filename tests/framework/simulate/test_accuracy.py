@@ -230,6 +230,18 @@ def test_without_the_key_automatic_steps_are_only_shortened() -> None:
     assert any("exceeds 1e-05; set a shorter solver.step" in text for text in checked.notices)
 
 
+def test_behind_an_encoder_steps_are_shortened_only_for_a_stated_accuracy() -> None:
+    encoder = {"blocks.encoder": {"type": "encoder", "step": 1e-3}}
+    graph = dm.load("arm2_joint").set({**encoder, "clock": "4 ms"}).until(0.4)
+    usual, exact_run = graph.simulate(), graph.set({"solver.accuracy": 1e-5}).simulate()
+    assert usual.solver.step == 0.001
+    assert usual.estimate is not None
+    assert usual.estimate.error > 1e-5
+    assert not any("error of the joints" in text for text in usual.notices)
+    assert exact_run.estimate is not None
+    assert exact_run.estimate.error <= 1e-5 or any("exceeds 1e-05" in text for text in exact_run.notices)
+
+
 def test_a_method_alone_is_kept() -> None:
     run = dm.load("arm2_joint").set({"solver": {"method": "ros34pw2", "accuracy": 1e-4}}).until(1).simulate()
     assert run.solver.method == "ros34pw2"
