@@ -272,6 +272,17 @@ def test_a_choice_that_diverges_later_is_replaced_by_automatic_steps(monkeypatch
     assert run.solver.step == 0.001
 
 
+def test_ctrl_c_during_the_estimate_keeps_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(accuracy.Comparison, "estimate", stopped)
+    run = dm.load("arm2_joint").until(0.1).simulate()
+    assert run.interrupted
+    assert len(run.time) == 51
+    assert run.estimate is None
+
+
 def test_one_tick_is_enough() -> None:
     run = dm.load("ur10_fast").set({"solver.accuracy": 1e-5}).until(0.008).simulate()
     assert run.estimate is not None
