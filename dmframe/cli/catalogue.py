@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from dmframe.config.registry import Registry
 
 SCHEMA = "dmframe.schema.json"
+NEW = (1, 7)
+"""Axes of a robot for which `new` writes a graph; the laws of `design` are for 4 to 7."""
 """Schema file next to a new graph; the YAML server of an editor finds it by the graph's first line."""
 
 
@@ -82,7 +84,7 @@ def new(
         refuse({"--tool": tool is not None, "--hold": bool(hold)}, "a packaged graph has its own; name a robot")
         text = known[name].read_text(encoding="utf-8")
     elif is_robot(name):
-        made = first_graph(name, target.parent, tool, angles("--hold", hold), stem=target.stem)
+        made = first_graph(name, target.parent, tool, angles("--hold", hold), axes=NEW, stem=target.stem)
         text, notes = made.text, made.notes
         if not force:
             check_new(target)  # before the robot's file is written
@@ -91,7 +93,7 @@ def new(
             if contains(place, content):
                 continue  # from an earlier call
             write_text(place, content, new=not force)
-            notes = (f"wrote {place}", *notes)
+            notes = (f"wrote {place}, a copy of the robot with the changes below, which the graph reads", *notes)
     else:
         # a graph may be a misspelt one; a robot is never the spelling of another one
         misspelt = bool(difflib.get_close_matches(name, known, n=1, cutoff=0.6))

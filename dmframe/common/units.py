@@ -173,6 +173,12 @@ def plain(value: float, unit: str, digits: int = 3) -> str:
     return f"{float(rounded.scaleb(-power)):.{max(digits, 6)}g} {_PREFIXES[power]}{unit}".rstrip()
 
 
+def rounded_up(value: float, digits: int = 3) -> float:
+    """The next number with that many digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1) if value > 0 else 1.0
+    return math.ceil(value / step) * step
+
+
 def rate_over(unit: str) -> str:
     """Unit of a rate over a quantity: ``1/(m s)`` for m, ``1/rad`` for rad/s."""
     powers = Counter[str]()

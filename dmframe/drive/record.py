@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 import casadi as ca
@@ -97,7 +97,16 @@ def recording_of(
         notices=(*_notices(result, robot, plan.shadow, answer, missed, extra), *more),
         beside=extra,
         drive={**drive_data(robot, plan, gate), "every": every},
+        start=_start(diagram, states) if every == 1 else np.zeros(0),
     )
+
+
+def _start(diagram: Diagram, states: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The controller's states before the first command, and zeros for the plant's, which no sample contains."""
+    none = np.zeros((1, 0))
+    parts = [states.get(v.label, none)[0] for v in diagram.loop.variables]
+    sizes = [v.symbol.numel() for v in diagram.loop.variables]
+    return np.concatenate([part if part.size else np.zeros(n) for part, n in zip(parts, sizes, strict=True)])
 
 
 def drive_data(robot: str, plan: Plan, gate: Gate) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.common.errors import RobotError
+from dmframe.common.errors import RobotError, listed
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
 from dmframe.robot.convert import FORMATS, Element, joints_to, read_any, written
 from dmframe.robot.flange import AXES, MOVING, flange_of
@@ -130,12 +130,23 @@ def first_graph(
             chain = load(str(made), tool=frame, hold=hold)
     rotor = {joint: value for joint, value in file.armature.items() if joint in chain.joint_names}
     said = [f"tool: {frame}"] if tool is None else []
+    said += _still(file.root, chain, hold)
     said += impossible_inertias(file.root, frame)
     if rotor:
         said.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
     return FirstGraph(
         _text(chain, model, frame, hold, rotor, notes), {} if text is None else {urdf_name: text}, (*said, *notes)
     )
+
+
+def _still(root: Element, chain: SerialChain, hold: Mapping[str, float]) -> list[str]:
+    """That joints outside of the arm, such as those of a gripper, do not move."""
+    names = [
+        joint.get("name", "")
+        for joint in root.findall("joint")
+        if joint.get("type") in MOVING and joint.get("name") not in {*chain.joint_names, *hold}
+    ]
+    return [f"held at 0, since they are not between base and tool: {listed(names)}"] if names else []
 
 
 def _check_axes(root: Element, frame: str, hold: Mapping[str, float], where: str, axes: tuple[int, int]) -> None:

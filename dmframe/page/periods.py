@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from dmframe.analysis.set_point import LARGE
 from dmframe.certify import Verdict
 from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
+
+SET_POINT: Final = "set-point"
+"""Place that faults of the search for an equilibrium name."""
+NO_POINT: Final = "the loop has no equilibrium for which its stability could be computed"
 
 
 @final
@@ -61,7 +65,9 @@ def stable_periods(
         tell("searching the largest stable sampling period")
         return Periods(linearised_period(at_rest).stable, linearised_period(moving).stable)
     except DmframeError as error:
-        return Periods(reason=error.text)
+        return Periods(
+            reason=NO_POINT if error.text.startswith(f"{SET_POINT}: expected an equilibrium") else error.text
+        )
 
 
 def _shown(period: float | None) -> float | str | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, assert_never, final
 
+from dmframe.common.exponents import typeset
 from dmframe.common.notebook import embedded
 from dmframe.report.mathml import breakable, mathml, terms
 from dmframe.report.parts import (
@@ -34,6 +35,8 @@ from dmframe.report.tags import Html, joined, plain, tag
 
 SHORT: Final = 48
 """Length [characters of LaTeX] up to which a formula in a sentence is not broken."""
+VERBATIM: Final = ("code", "command", "long")
+"""Kinds of words that are printed as they are."""
 _EMPTY: Final = Html("")
 
 
@@ -46,13 +49,15 @@ def cell(given: Cell) -> Html:
 def _piece(piece: Piece) -> Html:
     match piece:
         case str():
-            return plain(piece)
+            return plain(typeset(piece))
         case Marked():
             return _marked(piece.text)
         case Formula(latex, "whole"):
             return tag("span", mathml(latex, display=True), class_="signal")
         case Formula(latex, how):
             return tag("span", breakable(latex, display=how == "display"), class_="f")
+        case Word(str() as text, kind) if kind in VERBATIM:
+            return _word(plain(text), kind)
         case Word():
             return _word(cell(piece.text), piece.kind)
         case Link(text, to):
@@ -82,14 +87,14 @@ def _word(text: Html, kind: str) -> Html:
 def _marked(text: str) -> Html:
     out, place = list[Html](), 0
     for found in MARKED.finditer(text):
-        out.append(plain(text[place : found.start()]))
+        out.append(plain(typeset(text[place : found.start()])))
         formula, code, key = found.groups()
         if formula:
             out.append(mathml(formula) if len(formula) < SHORT else breakable(formula))
         else:
             out.append(tag("code", plain(code)) if code else tag("a", plain(f"[{key}]"), href=f"#{key}"))
         place = found.end()
-    return joined([*out, plain(text[place:])], "")
+    return joined([*out, plain(typeset(text[place:]))], "")
 
 
 @final

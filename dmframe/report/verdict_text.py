@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from textwrap import fill
@@ -14,7 +13,7 @@ from dmframe.certify.error_bound import ErrorBound, Share
 from dmframe.common.columns import columns
 from dmframe.common.names import unicode_name
 from dmframe.common.text import DV, KAPPA, Text, joined, text_of
-from dmframe.common.units import plain
+from dmframe.common.units import plain, rounded_up
 from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
 
@@ -138,12 +137,6 @@ def useless_of(found: Sequence[ErrorBound]) -> str:
     ]
     why = f"a robot at rest at the start of its path has {' and '.join(still)}" if still else ""
     return f"no useful bound: {why or 'it is as large as the robot'}" if useless else ""
-
-
-def rounded_up(value: float, digits: int = 3) -> float:
-    """The next number with that many digits."""
-    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1) if value > 0 else 1.0
-    return math.ceil(value / step) * step
 
 
 def contribution_of(bound: ErrorBound) -> str:

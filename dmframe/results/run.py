@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from dmframe.block.model import SYMBOLIC
 from dmframe.common import notebook
 from dmframe.common.columns import columns
 from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
@@ -30,7 +31,9 @@ from dmframe.simulate import Divergence, Recording
 if TYPE_CHECKING:
     import xarray
 
+    from dmframe.certify.claim import Claim
     from dmframe.results.figures import Figures
+    from dmframe.results.next_turn import NextTurn
 
 HEADS = ("graph", "clock", "error", "first eighth", "last eighth", "speed", "engine")
 RIGHT = (1, 3, 4, 5)
@@ -85,8 +88,9 @@ class Run(AboutGraph):
     def noticed(self, *texts: str) -> Run:
         """The same run with more notices of its own; V is not computed again."""
         result = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
-        if "_storage" in vars(self):
-            vars(result)["_storage"] = self._storage
+        for known in ("_storage", "_turns"):
+            if known in vars(self):
+                vars(result)[known] = getattr(self, known)
         return result
 
     @cached_property
@@ -126,6 +130,68 @@ class Run(AboutGraph):
             vars(self)["_storage"] = storage_of(self.recording, self.graph, decided)
         except DmframeError as error:
             vars(self)["_storage"] = error
+
+    def next_turn(self, eta: float | Sequence[float] | None = None) -> NextTurn:
+        """Bound on the error in the next turn of a repeated path, from the samples of the last one (`NextTurn`).
+
+        Parameters
+        ----------
+        eta
+            Upper limit of what the true parameters leave unexplained of a sample, for all joints or for each; by
+            default the largest prediction errors of the last turn.
+
+        Raises
+        ------
+        DmframeError
+            The law has no certificate over samples, or the reason why there is no bound.
+        """
+        from dmframe.results.next_turn import next_turn
+
+        return next_turn(self.recording, self._claim, eta)
+
+    @cached_property
+    def _claim(self) -> Claim:
+        """The claim of the diagram that ran; a drive, whose V is not evaluated, has one too."""
+        if not isinstance(self._storage, DmframeError):
+            return self._storage.claim
+        if not self.recording.diagram.loop.discrete_time:
+            raise self._storage
+        from dmframe.certify.claim import claim_of
+
+        with SYMBOLIC:
+            return claim_of(self.recording.diagram, held=False, named=False)
+
+    @cached_property
+    def _turns(self) -> tuple[NextTurn | None, str]:
+        """The bound on the next turn with the observed eta, or why there is none; empty without update steps."""
+        try:
+            claim = self._claim
+        except DmframeError:
+            return None, ""
+        if not any(part.certificate.steps for part in claim.parts):
+            return None, ""
+        try:
+            return self.next_turn(), ""
+        except DmframeError as error:
+            return None, error.text
+
+    @property
+    def bounded(self) -> list[str]:
+        """The bound on the next turn as a sentence, if there is one."""
+        found, _ = self._turns
+        return [] if found is None else [f"{self.name}: {found}"]
+
+    @property
+    def bounds(self) -> list[dict[str, Any]]:
+        """Bounds from the data of this run, as ``run --json`` lists them."""
+        found, _ = self._turns
+        return [] if found is None else [found.summary]
+
+    @property
+    def bounds_missing(self) -> list[str]:
+        """Why a law with update steps has no bound from data."""
+        _, reason = self._turns
+        return [reason] if reason else []
 
     @property
     def decided(self) -> Decided | None:
@@ -325,6 +391,7 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
         lines += [f"{run.name}: {text}" for text in integrated(run)]
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
         lines += [f"{run.name}: {item}" for item in run.shown]
+        lines += run.bounded
     return lines
 
 

@@ -23,7 +23,8 @@ def summary_of(run: Run, out: str | None = None) -> dict[str, Any]:
         storage = no_storage(error)
     data = summary(run.graph.name, run.recording, out)
     out = data.pop("out")
-    return {**data, "storage": storage, "notices": list(run.notices), "out": out}
+    bounds = {"bounds": run.bounds, "bounds_missing": run.bounds_missing}
+    return {**data, "storage": storage, **bounds, "notices": list(run.notices), "out": out}
 
 
 def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]:

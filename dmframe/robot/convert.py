@@ -79,11 +79,25 @@ def _expanded(path: Path, where: str) -> str:
         text = xacro.process_file(str(path.resolve())).toxml()
     except Exception as fault:  # xacro evaluates expressions of the file, which may raise anything
         reason = re.sub(r"<class '[\w.]+'>: ", "", " ".join(str(fault).split())) or type(fault).__name__
-        raise RobotError(
-            f"{where}: xacro cannot expand it: {reason}; if it needs arguments or packages, expand it there: "
-            f"xacro {path.name} name:=value > {path.name.partition('.')[0]}.urdf"
-        ) from None
+        command = f"xacro {path.name} name:=value > {path.name.partition('.')[0]}.urdf"
+        raise RobotError(f"{where}: xacro cannot expand it: {_once(reason)}; {_remedy(fault, command)}") from None
     return str(text)
+
+
+def _once(reason: str) -> str:
+    """A reason without its repetition: xacro appends the text of the error that it passes on."""
+    half = len(reason) // 2
+    if reason[:half] == reason[half + 1 :]:
+        return reason[:half]
+    return re.sub(r"^(No such file or directory: (\S+)) .*$", r"\1", reason)
+
+
+def _remedy(fault: Exception, command: str) -> str:
+    if "Package not found" in str(fault):
+        return f"expand it where ROS has this package: {command}"
+    if "No such file" in str(fault):
+        return "it includes this file; put it there"
+    return f"if it needs arguments or packages, expand it there: {command}"
 
 
 def _from_mjcf(path: Path, where: str) -> RobotFile:

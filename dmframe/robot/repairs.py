@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from dmframe.common.errors import listed
 from dmframe.robot.convert import Element, joints_to
 from dmframe.robot.flange import MOVING
 from dmframe.robot.urdf_numbers import INERTIA, ROUNDING, numbers, part_faults
@@ -93,7 +94,9 @@ def _limits(root: Element, way: list[Element]) -> Iterator[str]:
                 limit.attrib.update(lower=str(-STROKE), upper=str(STROKE))
             missing = ["position", *missing]
         if missing:
-            yield f"joint {joint.get('name', '')}: no limit of {' and '.join(missing)} in the file"
+            taken = {"continuous": "; it turns without limits", "prismatic": f"; taken as {STROKE:g} m to both sides"}
+            range_ = taken[joint.get("type", "")] if "position" in missing else ""
+            yield f"joint {joint.get('name', '')}: no limit of {listed(missing)} in the file{range_}"
 
 
 def _complete(joint: Element) -> list[str]:

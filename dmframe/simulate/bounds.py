@@ -13,7 +13,7 @@ import numpy as np
 
 from dmframe.block.port import Side
 from dmframe.common.errors import EngineError
-from dmframe.common.units import plain, sliding
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram, Variable
 
 TIMES: Final = 100.0
@@ -80,7 +80,7 @@ def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float)
     infinite = np.flatnonzero(~np.isfinite(state))
     row = int((infinite if infinite.size else np.flatnonzero(np.abs(state) > bounds))[0])
     variable, element = located(diagram, row)
-    how = Divergence.how if infinite.size else _how(diagram, variable, element, float(bounds[row]))
+    how = Divergence.how if infinite.size else _how(diagram, variable, float(bounds[row]))
     return Divergence(variable.block, variable.name, element, time, how)
 
 
@@ -93,14 +93,8 @@ def located(diagram: Diagram, row: int) -> tuple[Variable, int]:
     raise EngineError("a state outside the diagram diverged")
 
 
-def _how(diagram: Diagram, variable: Variable, element: int, bound: float) -> str:
-    joint = diagram.robot.joints[element] if bound < LARGEST and diagram.robot is not None else None
-    if joint is None:
-        return f"is beyond {plain(bound, variable.unit)}"
-    unit = variable.unit if joint.kind == "revolute" else sliding(variable.unit)
-    if not is_position(diagram, variable):
-        return f"is beyond {plain(bound, unit)}, {TIMES:g} times the limit of {joint.name},"
-    limits = f"{plain(joint.lower, unit)} to {plain(joint.upper, unit)}"
-    return (
-        f"is beyond {plain(bound, unit)}, farther outside of the limits of {joint.name} ({limits}) than they are apart,"
-    )
+def _how(diagram: Diagram, variable: Variable, bound: float) -> str:
+    """As in `solver.js`."""
+    far = "farther outside of the joint's limits than they are apart"
+    how = far if is_position(diagram, variable) else f"{TIMES:g} times the joint's limit"
+    return f"is beyond {plain(bound, variable.unit)}" + (f", {how}," if bound < LARGEST else "")

@@ -72,7 +72,8 @@ class Recording:
     drive
         Settings of a drive as JSON data (limits, ramp); empty for a simulation.
     start
-        All states at the first instant, as one column; empty for a drive.
+        All states at the first instant, as one column; of a drive, those of the controller, with zeros for the plant's,
+        and empty if not every sample was kept.
     instants
         Times and random numbers of the ticks; None for a drive.
     estimate

@@ -161,6 +161,12 @@ class Plot {
     g.setLineDash([]);
   }
 
+  // A value in the unit of the axis; on a logarithmic axis, whose values span several prefixes, with its own.
+  reading(value) {
+    const { power, prefix } = this.log ? prefixed(value, this.unit) : { power: Math.log10(this.scale), prefix: this.prefix };
+    return `${figure(value / 10 ** power)} ${superscript(prefix + this.unit)}`.trim();
+  }
+
   // The cursor at a time, and with `read` the values of the curves there.
   point(time, read) {
     if (!this.seen || !this.times) return;
@@ -175,7 +181,7 @@ class Plot {
     for (const { values, times = this.times, constant, silent } of this.curves) {
       if (silent) continue;
       const value = constant ?? values[nearest(times, time)];
-      this.readings[place++].textContent = time > times.at(-1) + 1e-9 && constant === undefined ? "" : figure(value / this.scale);
+      this.readings[place++].textContent = time > times.at(-1) + 1e-9 && constant === undefined ? "" : this.reading(value);
     }
   }
 }

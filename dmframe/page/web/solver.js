@@ -297,7 +297,8 @@ export class Loop {
     if (!infinite) row = state.findIndex((value, k) => Math.abs(value) > bounds[k]);
     let element = row;
     const owner = states.find(({ size }) => element < size || ((element -= size), false));
-    const limit = bounds[row] < LARGEST ? ", 100 times the joint's limit," : "";
+    const far = owner.label.endsWith(".q") ? "farther outside of the joint's limits than they are apart" : "100 times the joint's limit";
+    const limit = bounds[row] < LARGEST ? `, ${far},` : "";
     const how = infinite ? "is no longer finite" : `is beyond ${plain(bounds[row], owner.unit)}${limit}`;
     const message = `${owner.label}[${element}] ${how} at t = ${Number(time.toPrecision(6))} s`;
     return { label: owner.label, element, time, how, message };

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.cli.catalogue import new
 from dmframe.common.errors import RobotError, UnknownNameError
 from dmframe.graph.first import first_graph, is_robot
 
@@ -146,8 +147,8 @@ def test_limits_that_are_missing_or_zero_are_none(tmp_path):
     path.write_text(text.replace(LIMIT, '<limit lower="-1" upper="1"/>', 1))
     first = first_graph(str(path), tmp_path)
     assert [note for note in first.notes if note.startswith("joint")] == [
-        "joint j1: no limit of position and velocity and effort in the file",
-        "joint j2: no limit of position and velocity and effort in the file",
+        "joint j1: no limit of position, velocity and effort in the file; it turns without limits",
+        "joint j2: no limit of position, velocity and effort in the file; it turns without limits",
         "joint j3: no limit of velocity and effort in the file",
     ]
     graph = made(tmp_path, str(path))
@@ -238,3 +239,19 @@ def test_a_robot_is_a_name_or_a_file():
 def test_an_arm_of_one_joint_has_a_first_graph() -> None:
     found = first_graph("pendulum", Path())
     assert "type: pid_servo" in found.text
+
+
+def test_joints_of_a_gripper_are_named_as_held(tmp_path):
+    path = chain_file(tmp_path, "RRRRR", 5)
+    assert not [note for note in first_graph(str(path), tmp_path).notes if note.startswith("held")]
+    note = next(note for note in first_graph(str(path), tmp_path, "l4").notes if note.startswith("held"))
+    assert note == "held at 0, since they are not between base and tool: j5"
+
+
+def test_the_command_takes_an_arm_with_few_axes(tmp_path):
+    path = chain_file(tmp_path, "RR", 0)
+    target = tmp_path / "two.yaml"
+    new(str(path), target, out=None, tool=None, hold=[], force=False)
+    graph = dm.load(target)
+    assert graph.verify().proved
+    assert graph.run(until=5.0, judge=False).error.rms_by_eighth[-1] < 0.02

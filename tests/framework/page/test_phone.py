@@ -45,6 +45,23 @@ def test_the_picture_stays_in_sight_above_the_sliders(tab: Chromium, tmp_path: P
     tab.sized(None)
 
 
+LINES = """(() => {
+  const verdict = document.getElementById('verdict');
+  return verdict.clientHeight / parseFloat(getComputedStyle(verdict).lineHeight);
+})()"""
+
+
+@pytest.mark.parametrize(("size", "lines"), [((390, 844), 4), ((1000, 700), 4), ((1280, 900), 3)])
+def test_the_verdict_ends_between_two_lines_and_values_have_units(
+    tab: Chromium, tmp_path: Path, size: tuple[int, int], lines: int
+) -> None:
+    opened(tab, tmp_path, size)
+    assert tab.value(LINES) == pytest.approx(lines, abs=0.05)
+    readings = "[...document.querySelectorAll('#first .plot:first-child .legend b')].map((b) => b.textContent)"
+    assert all(text.endswith("mm") for text in tab.value(readings))
+    tab.sized(None)
+
+
 def test_a_page_out_of_sight_draws_nothing(tab: Chromium, tmp_path: Path) -> None:
     opened(tab, tmp_path, (1250, 640))
     tab.value("document.getElementById('play').click()")

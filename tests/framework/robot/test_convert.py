@@ -270,7 +270,12 @@ def test_a_xacro_file_that_cannot_be_expanded_is_reported_with_its_reason(tmp_pa
     ):
         read_any(path)
     path.write_text(XACRO.format('<xacro:include filename="$(find nowhere)/x.xacro"/>'))
-    with pytest.raises(RobotError, match=r"xacro cannot expand it: Package not found: nowhere"):
+    with pytest.raises(RobotError, match=r"Package not found: nowhere; expand it where ROS has this package: xacro a"):
+        read_any(path)
+    path.write_text(XACRO.format('<xacro:include filename="missing.xacro"/>'))
+    with pytest.raises(
+        RobotError, match=r"No such file or directory: \S*missing\.xacro; it includes this file; put it"
+    ):
         read_any(path)
 
 
