@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,7 +24,7 @@ from dmframe.results.decided import Decided
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
 from dmframe.results.reported import ReportedEstimate, reported_estimates
 from dmframe.results.storage import SIGNALS, Storage, decided_by, storage_of, with_storage
-from dmframe.results.summary import summary, summary_of
+from dmframe.results.summary import integrated, summary, summary_of
 from dmframe.simulate import Divergence, Recording
 
 if TYPE_CHECKING:
@@ -364,15 +363,6 @@ def ended(run: Run) -> list[str]:
     return notes
 
 
-def integrated(run: Run) -> list[str]:
-    """Method, step and estimated error of the joints; empty without an estimate."""
-    method, step, estimate = run.recording.solver.method, run.recording.step, run.recording.estimate
-    if estimate is None or step is None or not math.isfinite(estimate.error):
-        return []
-    error = f"{estimate.error:.1g} {estimate.unit}"
-    return [f"{method} in steps of {plain(step, 's')}, estimated error of the joints {error}"]
-
-
 def table_of(runs: Sequence[Run]) -> str:
     """Terminal table of runs, followed by their notes."""
     return "\n".join([numbers_of(runs), *notes_of(runs)])
@@ -388,7 +378,7 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
     """Warnings and reported estimates of each run."""
     lines = list[str]()
     for run in runs:
-        lines += [f"{run.name}: {text}" for text in integrated(run)]
+        lines += [f"{run.name}: {text}" for text in integrated(run.recording)]
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
         lines += [f"{run.name}: {item}" for item in run.shown]
         lines += run.bounded
