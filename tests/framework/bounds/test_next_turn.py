@@ -191,10 +191,11 @@ def test_a_run_and_a_drive_of_the_same_samples_print_the_same_bound() -> None:
     [
         ({}, 3, "the run has no full turn of a repeated path"),
         ({"log": {"every": 2}}, 8, "samples are missing, or are not one period apart"),
+        ({"jitter": "1 ms"}, 8, "samples are not one period apart: they have a jitter"),
         ({"reality": {"encoder": {"step": 1e-5}}}, 8, "its rows do not vary with the positions"),
         ({"inverse.settling": 100}, 8, "its rows do not vary with the positions"),
     ],
-    ids=["short", "decimated", "rounded", "constant"],
+    ids=["short", "decimated", "jitter", "rounded", "constant"],
 )
 def test_a_run_without_a_bound_has_the_reason(changed: dict[str, Any], seconds: float, reason: str) -> None:
     run = (graph().set(changed) if changed else graph()).until(seconds).run()
