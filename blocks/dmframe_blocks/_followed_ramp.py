@@ -30,7 +30,12 @@ of the tau may leave, which a ramp may then imitate: for slow commands F_tau u -
 a true lag L is about (tau/L - 1)^2 S_u(0), at most a ninth of S_u(0) at the nearer of tau and 2 tau. A wrong
 conclusion is final, since from then on the command is no faster than the ramp, and nothing distinguishes them. That the
 robot follows is taken as shown above FOLLOWED doubt + evidence_time s^2: if that is wrong the command runs ahead of the
-ramp, and the motion shows it.
+ramp, and the motion shows it. It remains shown until a ramp is: where friction changes its sign the command jumps so
+that the velocity does not, and each such jump lowers the evidence a little, also without a ramp.
+
+On a slow path r = u in each sample, and the evidence remains zero. The trial adds a square wave to the commands: after
+a jump of 2 (a_max T/2 + trial) a ramp is 2 trial behind, and catches up within 2 trial/a_max. Then the sign changes, so
+that r and u differ most of the time, and the pose moves little.
 """
 
 from __future__ import annotations
@@ -52,6 +57,12 @@ EVIDENCE_TIME: Final = 2.0
 """Default of `evidence_time` [s]."""
 FOLLOWED: Final = 0.1
 """Share of `doubt` that suffices for the conclusion that the robot follows."""
+GIVEN_UP: Final = 0.02
+"""Evidence for a ramp, relative to `doubt`, that ends the trial."""
+TRIED: Final = 0.125
+"""Longest duration of the trial, relative to `evidence_time`."""
+CAUGHT: Final = 1e-6
+"""Difference from the command, relative to a_max T, below which a ramp has caught up."""
 RATIOS: Final = (1, 2, 4, 8, 16)
 """Time constants of the filters, relative to `lag_time`; that of a cascade without feed-forward is 1/k_p."""
 
@@ -64,9 +75,11 @@ STATES: Final = (
     State("missed_u", "n S", "rad^2/s", sampled=True, optional=True, recorded=False),
     State("missed_r", "n S", "rad^2/s", sampled=True, optional=True, recorded=False),
     State("evidence", "", "rad^2/s", sampled=True, optional=True),
+    State("follows", sampled=True, optional=True),
+    State("wave", "n", "rad/s", sampled=True, optional=True),
 )
 """Velocity along the path, the output r of the ramp, its differences r - u in the queue of commands, the states of the
-filters with u and with r, S_u and S_r, and the evidence."""
+filters with u and with r, S_u and S_r, the evidence, whether the robot follows, and the square wave of the trial."""
 
 SIZES: Final = {"B": len(RATIOS), "S": len(RATIOS) + 1}
 """B: filters with a state; S: sums, the first one of tau = 0."""
@@ -83,9 +96,9 @@ class Limited(NamedTuple):
 def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acted: SX) -> Limited:
     """The change towards the wished command; `acted` is the command that acted in the last completed sample.
 
-    Unless a ramp is shown, or the delay is unknown, the path's own change is allowed also where it exceeds a_max. As
-    much again is allowed for corrections, but only if it is shown that the robot follows: a loop whose corrections a
-    ramp limits oscillates.
+    Unless a ramp is shown, or the delay is unknown, the path's own change is allowed also where it exceeds a_max. Any
+    change is allowed for corrections, but only if it is shown that the robot follows: a loop whose corrections a ramp
+    limits oscillates.
     """
     if "a_max" not in p:
         return Limited(wished - x.queue[:, -1], {}, {})
@@ -95,14 +108,31 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
     unsure = named("unsure", p.evidence_time * left / ca.fmax(u.T * x.count, p.evidence_time))
     possible = named("possible", known * (x.count > 1) * (evidence + unsure + between + p.doubt >= 0))
     needed = named("needed", possible * (u.dq_path - x.path_before))
-    shown = named("shown", evidence - unsure - FOLLOWED * p.doubt > 0)
-    more = shown * ca.fmax(room / 2, ca.fabs(needed))
-    low, high = ca.fmin(-room, needed - more), ca.fmax(room, needed + more)
-    change = named("change", ca.fmin(ca.fmax(wished - x.queue[:, -1], low), high))
+    likely = named("likely", unsure + FOLLOWED * p.doubt)
+    follows = named("follows_new", possible * ca.fmax(x.follows, evidence - likely > 0))
+    more = follows * 2 * p.u_max
+    begun = {"evidence": evidence, "follows": follows, **sums}
+    held = x.queue[:, -1] - (x.wave if "trial" in p else 0)
+    low, high = ca.fmin(-room, needed) - more, ca.fmax(room, needed) + more
+    change = named("change", ca.fmin(ca.fmax(wished - held, low), high))
+    if "trial" in p:
+        undecided = known * (1 - follows) * (evidence > -GIVEN_UP * p.doubt)
+        begun["wave"] = _tried(u, x, p, undecided, held + change)
+        change = named("change_tried", change + begun["wave"] - x.wave)
     sent = x.queue[:, -1] + change
     ramped = named("ramped_new", x.ramped + clip(sent - x.ramped, room))
     kept = {"path_before": u.dq_path, "ramped": ramped, **filters}
-    return Limited(change, kept, {"gaps": ca.horzcat(x.gaps[:, 1:], ramped - sent), "evidence": evidence, **sums})
+    return Limited(change, kept, {"gaps": ca.horzcat(x.gaps[:, 1:], ramped - sent), **begun})
+
+
+def _tried(u: Signals, x: Signals, p: Signals, undecided: SX, steady: SX) -> SX:
+    """The square wave; its sign changes when a ramp would have caught up. It is zero where the sum may exceed u_max."""
+    room = p.a_max * u.T
+    size = room / 2 + p.trial
+    tries = undecided * (x.count > 1) * (u.T * x.count < TRIED * p.evidence_time)
+    caught = ca.fabs(x.gaps[:, -1]) < CAUGHT * room
+    wave = ca.if_else(caught, ca.if_else(x.wave > 0, -size, size), x.wave)
+    return named("wave_new", tries * (ca.fabs(steady) + size <= p.u_max) * wave)
 
 
 def _compared(

@@ -89,11 +89,11 @@ class ExpertAggregation(AbstractBlock):
 
     *Rate.* With `a_max` the change of a command lies between
 
-        min(-a_max T, D - B)  and  max(a_max T, D + B)
+        min(-a_max T, D) - B  and  max(a_max T, D) + B
 
     with the change D of dq_path, the velocity along the path without feedback. D counts as zero in the first two
-    samples, while the delay is unknown, and if a ramp limits the robot; B is zero unless the robot is known to follow
-    faster changes, then max(a_max T/2, |D|). The motion shows which is true: with the output r of a ramp of slope a_max
+    samples, while the delay is unknown, and if a ramp limits the robot; B is zero, or 2 u_max once it is shown that the
+    robot follows faster changes. The motion shows which is true: with the output r of a ramp of slope a_max
     behind the command u, and filters :math:`F_\tau = 1 / (1 + \tau s)` for the unknown lag of the servo, the evidence
     is, summed over the joints,
 
@@ -101,7 +101,13 @@ class ExpertAggregation(AbstractBlock):
 
     for tau = 0 and 1, 2, 4, 8 and 16 times `lag_time`. With the mean s^2 of the smaller integral over time, at least
     over `evidence_time`, and N the sum of the integrals of |v - u|^2, a ramp is shown by
-    E < -(doubt + evidence_time s^2 + N/9), and that the robot follows by E > doubt/10 + evidence_time s^2.
+    E < -(doubt + evidence_time s^2 + N/9), and that the robot follows by E > doubt/10 + evidence_time s^2, until a ramp
+    is shown.
+
+    *Trial.* On a slow path r = u in each sample, and nothing is shown. With `trial`, a square wave with the amplitude
+    a_max T/2 + trial is added to the commands of all joints as soon as the delay is identified. Its sign changes when r
+    has caught up with u. It ends when it is shown that the robot follows, if E < -doubt/50, and after evidence_time/8
+    at the latest.
 
     Parameters
     ----------
@@ -138,6 +144,9 @@ class ExpertAggregation(AbstractBlock):
         Time over which errors of the size that neither hypothesis explains count as chance.
     lag_time : scalar, s, > 0
         Shortest time constant of the filters for the lag of the servo, with `a_max`; the longest one is 16 times it.
+    trial : diagonal (n,), rad/s, > 0
+        With it a trial shows whether the robot follows faster changes than `a_max`. By how much the square wave exceeds
+        what a ramp allows in a sample.
 
     Notes
     -----
@@ -197,6 +206,7 @@ class ExpertAggregation(AbstractBlock):
     doubt: Scalar = Positive("", "rad^2/s", default=_followed_ramp.DOUBT)
     evidence_time: Scalar = Positive("", "s", default=_followed_ramp.EVIDENCE_TIME)
     lag_time: Scalar = Positive("", "s", default=_followed_ramp.LAG)
+    trial: Diagonal | None = Positive("n", "rad/s", default=None)
 
     @model_validator(mode="after")
     def _has_a_rate(self) -> Self:

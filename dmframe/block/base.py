@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from fractions import Fraction
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
@@ -17,7 +17,7 @@ import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from dmframe.block.certificate import SX, Certificate, Condition, Square
-from dmframe.block.faults import parameter_faults, strictly_typed
+from dmframe.block.faults import fault_context, parameter_faults, strictly_typed
 from dmframe.block.fields import check_fields
 from dmframe.block.names import type_name
 from dmframe.block.numberless import unreadable, without_numbers
@@ -35,9 +35,24 @@ TRUE_VALUES: Final = "true values that `truth` declares and this diagram has"
 """Kind of the signals that the analysis alone may read."""
 
 
+def own_copy(value: Any) -> Any:
+    """A copy of the expressions in a value, for code that may assign to their elements."""
+    if isinstance(value, ca.SX | ca.MX):
+        return type(value)(value)
+    if isinstance(value, tuple | list):
+        return type(value)(map(own_copy, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {item.name: getattr(value, item.name) for item in fields(value)}
+        return replace(value, **{name: own_copy(part) for name, part in parts.items() if isinstance(part, ca.SX)})
+    return value
+
+
 @final
 class Signals:
-    """Named expressions, read as attributes: ``u.dq``, ``x.w``, ``p.Lambda``."""
+    """Named expressions, read as attributes: ``u.dq``, ``x.w``, ``p.Lambda``.
+
+    Each read returns a copy: a block that assigns to elements, ``q = u.q; q[0] = 0``, does not change the signal.
+    """
 
     def __init__(
         self, owner: str, kind: str, values: Mapping[str, SX], options: Mapping[str, str] = MappingProxyType({})
@@ -48,7 +63,7 @@ class Signals:
         if name.startswith("__"):
             raise AttributeError(name)
         try:
-            return self._values[name]
+            return own_copy(self._values[name])
         except KeyError:
             if name in self._options:
                 raise BlockError(
@@ -168,10 +183,12 @@ class AbstractBlock(BaseModel):
         raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
 
     def __init__(self, /, **values: Any) -> None:
-        try:
-            super().__init__(**values)
-        except ValidationError as error:
-            raise_all(parameter_faults(type(self), error, type_name(type(self))))
+        name = type_name(type(self))
+        with fault_context(name, "its validators"):
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                raise_all(parameter_faults(type(self), error, name))
 
     if not TYPE_CHECKING:  # for a type checker, a block has only its declared attributes
 
@@ -207,6 +224,11 @@ class AbstractBlock(BaseModel):
         """True if an optional input has to be driven with the options of this block."""
         del port
         return False
+
+    def requires(self, port: Input, owner: str) -> bool:
+        """True if an input has to be driven; `owner` is the block's name. Blocks do not override it."""
+        with fault_context(owner, "needs()"):
+            return not port.optional or bool(without_numbers(self, owner).needs(port.name))
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """Names and units, for results, of the elements of each dimension that this block defines."""

@@ -263,3 +263,6 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the nominal bodies of {state.name} are {state.nominal}, which is not an input; {near}"
         if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
             yield f"the parameter {state.name} and the state that it initialises have different shapes"
+        start = f"{state.name}_0"
+        if state.name in numbers and (start in numbers or start in (other.name for other in block.states)):
+            yield f"{start} is the start of the state {state.name}, which the parameter {state.name} sets; rename it"

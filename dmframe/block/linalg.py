@@ -147,7 +147,7 @@ def _factors(A: Any) -> tuple[Any, Sequence[Any]]:
     found, before = _inverted.get() or ([], ())
     known = next((item for item in before if nodes(item.matrix) == nodes(A)), None) if before else None
     L, d = ldl(A) if known is None else (known.factor, known.pivots)
-    found.append(Inverted(A, L, tuple(d)))
+    found.append(Inverted(ca.SX(A), L, tuple(d)))  # the caller may assign to elements of A
     return L, d
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.block.base import AbstractBlock, Equations, Signals
+from dmframe.block.base import AbstractBlock, Equations, Signals, own_copy
 from dmframe.block.certificate import SX
 from dmframe.block.faults import fault_context
 from dmframe.block.linalg import Inverted, inverting, nodes
@@ -141,6 +141,8 @@ def signals_of(
     options: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Signals, Signals, Signals]:
     """Wrap symbols for a block's methods; `options` are the annotations of fields that are not parameters."""
+    if robot is not None and not isinstance(robot, Recalled):
+        robot = Recalled(robot)
     given = {**parameters, "robot": robot} if robot is not None else parameters
     p = Signals(name, "parameters", given, options)
     return Signals(name, "inputs", inputs), Signals(name, "states", states), p
@@ -175,8 +177,7 @@ def model_block(
     starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
-    recalled = None if mine is None else Recalled(mine)
-    signals = signals_of(name, inputs, states, {**parameters, **starts}, recalled, _options(block))
+    signals = signals_of(name, inputs, states, {**parameters, **starts}, mine, _options(block))
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
 
@@ -195,6 +196,10 @@ def model_block(
                 f"{name}: its output {key} differs from its state {key}, and both have the same name; rename one"
             )
     used = symbols_in([*equations.expressions, *equations.second.values()])
+    robots = () if mine is None else (constant.symbol for constant in mine.constants)
+    own = symbols_in([*inputs.values(), *states.values(), *parameters.values(), *starts.values(), *robots])
+    if used - own:
+        raise _foreign(name, equations, own)
     for key in states.keys() - equations.moves.keys():
         if used & symbols_in([states.pop(key)]):
             raise BlockError(f"{name}: equations read the state {key}, but do not state its rate")
@@ -203,9 +208,23 @@ def model_block(
     return BlockModel(name, block, inputs, states, parameters, values, mine, equations, starts, tuple(inverted))
 
 
+def _foreign(name: str, equations: Equations, own: set[int]) -> BlockError:
+    """The fault of equations with a symbol of another block, or of none."""
+    stated = stated_equations(equations)
+    what, symbol = next((w, s) for w, x in stated.items() for s in ca.symvar(x) if s.element_hash() not in own)
+    return BlockError(
+        f"{name}: equations() state the {what} with {symbol}, which is none of its inputs, states and parameters; "
+        "expected an expression of its arguments alone"
+    )
+
+
 @final
 class Recalled:
-    """A robot model that caches its results, which take most of the time of a build."""
+    """A robot model as a block's methods read it.
+
+    It caches its results, which take most of the time of a build, and returns copies, since a method may assign to
+    their elements.
+    """
 
     def __init__(self, robot: Any) -> None:
         self._robot, self._results = robot, dict[Any, tuple[Any, Any]]()
@@ -213,14 +232,14 @@ class Recalled:
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._robot, name)
         if not callable(found):
-            return found
+            return own_copy(found)
 
         def result(*given: Any, **named: Any) -> Any:
             key = (name, *map(_identity, given), *((word, _identity(value)) for word, value in named.items()))
             if key not in self._results:  # the stored arguments keep their identities unique
                 self._results[key] = (found(*given, **named), (given, named))
             kept = self._results[key][0]
-            return ca.SX(kept) if isinstance(kept, ca.SX) else kept  # a copy, since the caller may change it
+            return Recalled(kept) if isinstance(kept, type(self._robot)) else own_copy(kept)
 
         return result
 

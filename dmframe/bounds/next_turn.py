@@ -121,8 +121,10 @@ def turn_bound(recorded: Recorded, turn: Turn, eta: Sequence[float] | None = Non
     Raises
     ------
     NoBoundError
-        No parameters in the box explain the recorded turn up to eta.
+        No parameters in the box explain the recorded turn up to eta, or the predicted turn is not finite.
     """
+    if not (np.all(np.isfinite(turn.gains)) and np.all(np.isfinite(turn.rows))):
+        raise NoBoundError("the predicted turn grows without limit")
     limits = recorded.observed if eta is None else np.asarray(eta, dtype=float)
     ends = np.stack([turn.errors, -turn.errors])
     shares = np.zeros((2, *ends.shape))

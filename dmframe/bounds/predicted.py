@@ -116,7 +116,8 @@ class Prediction:
             *_, error, J, row = _arrays(self._after, s, q, theta, t + k * T)
             points.append({"n_s": n_s, "n_q": n_q, "e_q": e_q, "e_s": e_s, "error": error, "J": J, "row": row})
         errors, rows = (np.array([point[name].ravel() for point in points]) for name in ("error", "row"))
-        return Turn(errors, rows, _gains(points))
+        with np.errstate(over="ignore", invalid="ignore"):  # a law that is unstable with this estimate
+            return Turn(errors, rows, _gains(points))
 
     def _positions(self, s: np.ndarray, q: np.ndarray, theta: np.ndarray, t: float) -> np.ndarray:
         """The positions at which (1) is zero."""
@@ -196,7 +197,10 @@ def _gains(points: Sequence[dict[str, np.ndarray]]) -> np.ndarray:
         states = csr_array(point["n_s"]) @ states + csr_array(point["n_q"]) @ positions
         right = -(csr_array(point["e_s"]) @ states)
         right[:, now] += np.eye(joints)
-        positions = np.linalg.solve(point["e_q"], right)
+        try:
+            positions = np.linalg.solve(point["e_q"], right)
+        except np.linalg.LinAlgError:
+            raise NoBoundError("a prediction error does not determine the positions in the next turn") from None
         gains[k] = csr_array(point["J"]) @ positions
     return gains.reshape(count, -1, count, joints)
 

@@ -16,7 +16,7 @@ from dmframe.certify.form import NotApplicableError
 from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import Stated
-from dmframe.diagram.view import View, recalling, stated_start, view
+from dmframe.diagram.view import View, stated_start, view
 
 
 def check_claims(diagram: Diagram, truths: Stated) -> None:
@@ -27,7 +27,7 @@ def check_claims(diagram: Diagram, truths: Stated) -> None:
     for name, block in diagram.blocks.items():
         if not specs(type(block)):
             continue
-        seen = recalling(diagram, name, view(diagram, name, truths))
+        seen = view(diagram, name, truths)
         for statement, stating in _methods(name, seen, {}):
             try:
                 check_steady(name, block, statement, stating(block), stating)

@@ -25,6 +25,8 @@ from dmframe.prove.refute import Refutation
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
+ANGLE: Final = "rad"
+
 NAMED: Final = 3
 """Largest number of states that a headline lists by name; otherwise it gives their number, and the text the names."""
 
@@ -92,11 +94,14 @@ class Verdict:
     def stable(self) -> bool:
         """True if it is proved in continuous time, without a residual, that the states of the closed loop are bounded.
 
-        Combinations of states that no rate depends on, such as whole turns of a joint, are left out. False for a proof
-        of an estimator over samples, and for one that leaves states open.
+        Combinations of angles that no rate depends on, such as whole turns of a joint, are left out. False for a proof
+        of an estimator over samples, and for one that leaves states open, or an unbounded combination of others.
         """
-        whole = self.outcome == "proved" and self.flow_claim is not None and not self.bounds
-        return whole and self.states is not None and not self.states.open
+        claim = self.flow_claim
+        if self.outcome != "proved" or claim is None or self.bounds or self.states is None or self.states.open:
+            return False
+        angles = {variable.label for variable in claim.loop.variables if variable.unit == ANGLE}
+        return set(self.states.unfelt) <= angles
 
     @property
     def rows_assumed(self) -> bool:

@@ -188,16 +188,19 @@ class _Copy:
         return cls(process, memory)
 
     def results(self) -> dict[int, Any]:
-        """Wait for the process, and return its results by the jobs' numbers, up to a job with which it ended."""
+        """Wait for the process, and return its results by the jobs' numbers, up to a job with which it ended.
+
+        A result that cannot be read is left out, with those after it.
+        """
         self._wait()
         self.ended, found = True, dict[int, Any]()
-        with suppress(OSError, EOFError, pickle.UnpicklingError), open(self.memory, "rb", closefd=False) as file:
+        with suppress(Exception), open(self.memory, "rb", closefd=False) as file:
             file.seek(0)
-            while True:
+            while True:  # to the end of the file; a pickled object may raise anything
                 number, result, noted = pickle.load(file)
-                found[number] = result
                 for watcher in watchers[-1:]:
                     watcher.adopt(noted)
+                found[number] = result
         return found
 
     def end(self) -> None:

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.certificate import SX
-from dmframe.block.model import BlockModel, Recalled, signals_of, stated_by, symbols_in
+from dmframe.block.model import BlockModel, signals_of, stated_by, symbols_in
 from dmframe.block.port import Side
 from dmframe.block.steady import same_expression
 from dmframe.common.errors import DmframeError, listed
@@ -175,7 +175,7 @@ def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
     """The block's outputs and rates with another robot; empty if the block cannot be evaluated with it."""
     parameters = {**model.parameters, **model.starts}
     # as in the model: a repeated call gives the same expression
-    signals = signals_of(model.name, model.inputs, model.states, parameters, Recalled(robot))
+    signals = signals_of(model.name, model.inputs, model.states, parameters, robot)
     try:
         stated = stated_by(model.name, model.block, signals, diagram.sizes)
     except DmframeError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, final
 
 import casadi as ca
@@ -11,7 +11,6 @@ import casadi as ca
 from dmframe.block import AbstractBlock, Signals
 from dmframe.block.base import TRUE_VALUES
 from dmframe.block.certificate import SX
-from dmframe.block.model import Recalled, signals_of
 from dmframe.block.port import Input
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.diagram import Diagram
@@ -49,14 +48,6 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
         if expression is not None:
             truth[port.name] = expression
     return View(u, x, p, Signals(name, TRUE_VALUES, truth), owners)
-
-
-def recalling(diagram: Diagram, name: str, seen: View) -> View:
-    """The view with a robot that caches its results, which take most of the time of a second evaluation."""
-    model = diagram.models[name]
-    if model.robot is None:
-        return seen
-    return replace(seen, p=signals_of(name, {}, {}, {**model.parameters, **model.starts}, Recalled(model.robot))[2])
 
 
 def stated_start(block: AbstractBlock, seen: View) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import final
 
 from dmframe.block import AbstractBlock, type_name
-from dmframe.block.numberless import without_numbers
 from dmframe.block.port import ANY, PERIOD, TIME, Access, Input, Output, Side
 from dmframe.block.sizes import Sizes
 from dmframe.common.errors import (
@@ -93,7 +92,7 @@ def wire_blocks(
             if end in chosen:
                 sources[end] = chosen[end]
                 continue
-            optional = port.optional and not without_numbers(block, name).needs(port.name)
+            optional = not block.requires(port, name)
             commanded = _as_the_plant(block, port, blocks, chosen)
             found = commanded or _by_name(name, port, outputs, blocks, optional=optional)
             if isinstance(found, DmframeError):

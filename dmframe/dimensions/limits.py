@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import casadi as ca
 
 from dmframe.block.certificate import SX
-from dmframe.block.model import BlockModel, Recalled, signals_of, stated_by
+from dmframe.block.model import BlockModel, signals_of, stated_by
 from dmframe.block.sizes import Sizes
 
 LIMITS: Final[Mapping[str, str]] = {
@@ -40,6 +40,6 @@ def with_limits(model: BlockModel, sizes: Sizes) -> BlockModel | None:
     """The block with such a robot; None if its equations read no limits."""
     robot = Limited(model.robot)
     parameters = {**model.parameters, **model.starts}
-    signals = signals_of(model.name, model.inputs, model.states, parameters, Recalled(robot))
+    signals = signals_of(model.name, model.inputs, model.states, parameters, robot)
     equations = stated_by(model.name, model.block, signals, sizes)
     return replace(model, equations=equations, robot=robot) if robot.limits else None

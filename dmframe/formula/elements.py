@@ -41,11 +41,11 @@ class Elements:
         return known
 
     def read(self, expression: SX) -> Node:
-        """The tree of an expression; an expression that is too long is given by its symbols."""
-        if expression.is_constant():
-            return constant(ca.DM(expression))
+        """The tree of an expression; an expression that is too long, or empty, is given by its symbols."""
         self._count = 0
         try:
+            if expression.is_constant():
+                return constant(ca.DM(expression))
             if expression.numel() > FEW:
                 raise UnreadableError("too many elements")
             rows = [ca.horzsplit(row) for row in ca.vertsplit(ca.densify(expression))]

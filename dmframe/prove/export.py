@@ -79,8 +79,10 @@ def _nodes(nodes: Sequence[Node]) -> Iterator[list[Any]]:
             yield ["const", str(exact(constant))]
         elif code == INPUT:
             yield ["input", a, b]
-        else:
+        elif code in names:
             yield [names[code], a, b] if code in two else [names[code], a]
+        else:
+            raise ValueFault(f"expected scalar operations, found CasADi's instruction {code}")
 
 
 def from_json(text: str) -> Claim:

@@ -46,8 +46,8 @@ _REFUSED: Final = frozenset(
             "os.forkpty",
             "pty.spawn",
         ),
-        *("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostbyname", "urllib.Request"),
-        *("sqlite3.connect", "os.startfile", "winreg.OpenKey"),
+        *("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostbyname", "socket.gethostname"),
+        *("urllib.Request", "sqlite3.connect", "os.startfile", "winreg.OpenKey"),
     )
 )
 _COPIES: Final = copies.__file__
@@ -189,19 +189,24 @@ def _loaded(cache: str) -> Iterator[tuple[str, str]]:
 
 @final
 class _Watched(type(os.environ)):  # type: ignore[misc]  # the class of the environment has no public name
-    """The environment of the process, which records each variable that is read."""
+    """The environment of the process, in texts or bytes, which records each variable that is read."""
 
-    def __getitem__(self, key: str) -> str:
+    def __getitem__(self, key: Any) -> Any:
         for recorder in _watching:
-            recorder.add("variable", str(key))
-        value: str = super().__getitem__(key)
-        return value
+            recorder.add("variable", os.fsdecode(key))
+        return super().__getitem__(key)
 
-    def __iter__(self) -> Iterator[str]:
+    def __iter__(self) -> Iterator[Any]:
         for recorder in _watching:
             recorder.add("variable", "")
-        names: Iterator[str] = super().__iter__()
+        names: Iterator[Any] = super().__iter__()
         return names
+
+
+def _watch(kind: Any) -> None:
+    """Set the class of the environment, also of that in bytes, which only some systems have."""
+    for environment in (os.environ, getattr(os, "environb", os.environ)):
+        environment.__class__ = kind
 
 
 def _hook(event: str, arguments: tuple[Any, ...]) -> None:
@@ -254,7 +259,7 @@ def begin(call: Call) -> Recorder | None:
         return None
     recorder = Recorder(call, place)
     _watching.append(recorder)
-    os.environ.__class__ = _Watched
+    _watch(_Watched)
     if not _hooked:
         sys.addaudithook(_hook)
         _hooked.append(True)
@@ -279,7 +284,7 @@ def paused() -> Iterator[None]:
 
 def end() -> Recorder | None:
     """Stop recording; return the record, or None if the recorder was not active."""
-    os.environ.__class__ = _Watched.__base__
+    _watch(_Watched.__base__)
     return _watching.pop() if _watching else None
 
 

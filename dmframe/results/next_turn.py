@@ -215,6 +215,8 @@ def _sampled(run: Recording) -> Recording:
         raise NoBoundError("the run diverged" if run.divergence is not None else "the run has no samples")
     instants = run.instants or Instants.of(run.diagram.loop, run.clock)
     times = instants.times(np.arange(len(run.time)))
+    if instants.jitter:
+        raise NoBoundError("samples are not one period apart: they have a jitter")
     if np.max(np.abs(run.time - times)) > REGULAR * run.clock:
         raise NoBoundError("samples are missing, or are not one period apart")
     if not run.start.size:

@@ -14,7 +14,7 @@ from dmframe.block.steady import check_steady
 from dmframe.common.errors import BlockError, StartError, listed
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import columns, stack
-from dmframe.diagram.view import recalling, stated_start, view
+from dmframe.diagram.view import stated_start, view
 
 Made = dict[tuple[Any, ...], Any]
 """Cache of expressions and functions shared by all parameter values of a diagram."""
@@ -42,7 +42,7 @@ def block_starts(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
 
 
 def _stated(diagram: Diagram, block: str) -> Mapping[str, Any]:
-    seen, states = recalling(diagram, block, view(diagram, block)), diagram.models[block].states
+    seen, states = view(diagram, block), diagram.models[block].states
     with fault_context(block, "start()"):
         starts = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
     if not isinstance(starts, Mapping):

@@ -42,6 +42,7 @@ def main() -> None:
     parser.add_argument("--turn", type=float, default=12.6)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--eta", type=float, default=None)
+    parser.add_argument("--premise", action="store_true", help="compare eta with what both turns need")
     parser.add_argument("--set", action="append", default=[])
     given = parser.parse_args()
     graph = dm.load(given.graph)
@@ -50,7 +51,7 @@ def main() -> None:
         graph = graph.set(changed)
     assert graph.robot is not None
     turns, rng = Turns(graph, given.seconds), np.random.default_rng(given.seed)
-    found, refused = list[tuple[float, float]](), 0
+    found, refused = list[tuple[float, float, float]](), 0
     for k in range(given.robots):
         turn = turns.of(factors(rng, graph.robot.n), given.turn)
         try:
@@ -59,21 +60,21 @@ def main() -> None:
             refused += 1
             print(f"{k}: {error}", flush=True)
             continue
-        found.append((bound.bound.value, turn.largest))
+        found.append((bound.bound.value, turn.largest, float(np.max(turns.premise(turn))) if given.premise else np.nan))
         if k % 25 == 24:
             report(found, refused)
     report(found, refused)
 
 
-def report(found: list[tuple[float, float]], refused: int) -> None:
+def report(found: list[tuple[float, float, float]], refused: int) -> None:
     """Print the bounds and how near the turns came to them."""
-    bounds, errors = np.array(found).T
+    bounds, errors, premises = np.array(found).T
     ratio = errors / bounds
     print(
         f"{len(found)} robots, {refused} without a bound: bound {1e3 * np.median(bounds):.3g} mm (median), "
         f"{1e3 * np.max(bounds):.3g} (largest); error {1e3 * np.median(errors):.3g} mm (median), "
         f"{1e3 * np.max(errors):.3g} (largest); error over bound {np.median(ratio):.3g} (median), "
-        f"{np.max(ratio):.3g} (largest)",
+        f"{np.max(ratio):.3g} (largest); eta that both turns need, over eta: {np.max(premises):.3g} (largest)",
         flush=True,
     )
 

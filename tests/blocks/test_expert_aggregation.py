@@ -133,16 +133,19 @@ def test_a_command_changes_by_at_most_a_max() -> None:
     assert abs(sent[0]) <= 0.5 * T + 1e-12
 
 
-def moved(most: float, wanted: np.ndarray, dt: float, *, lag: float, ramp: bool) -> tuple[np.ndarray, dict[str, Any]]:
-    """The commands and the states along that velocity of the path; the servo has that lag, after a ramp or not.
+def moved(
+    most: float, wanted: np.ndarray, dt: float, *, lag: float, ramp: bool, **options: Any
+) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    """The commands, and the first states and those after each sample, along that velocity of the path.
 
-    The robot moves by 20 steps of Euler's method in a sample, not by the filters of the block.
+    The servo has that lag, after a ramp or not. The robot moves by 20 steps of Euler's method in a sample, not by the
+    filters of the block.
     """
-    block, q, r, v, states, sent = KIND(a_max=[most]), 0.0, 0.0, 0.0, start(), list[float]()
+    block, q, r, v, states, sent = KIND(a_max=[most], **options), 0.0, 0.0, 0.0, [start()], list[float]()
     for speed in wanted:
         u = {"dq_model": [speed], "q_model": [q], "slope": [1.0], "epsilon": [0.0], "T": dt}
-        item = block.evaluate({**u, "q": [q], "dq_r": [speed], "dq_path": [speed]}, states, robot="pendulum")
-        states = dict(item.next)
+        item = block.evaluate({**u, "q": [q], "dq_r": [speed], "dq_path": [speed]}, states[-1], robot="pendulum")
+        states.append(dict(item.next))
         sent.append(float(item.outputs["dq_sent"][0]))
         r += np.clip(sent[-1] - r, -most * dt, most * dt) if ramp else sent[-1] - r
         for _ in range(20):
@@ -156,10 +159,10 @@ def test_a_path_that_needs_more_than_a_max_gets_it_unless_a_ramp_limits_the_robo
     most, speed = 0.5, 0.3 * np.sin(4 * T * np.arange(200))  # up to 1.2 rad/s^2
     sent, states = moved(most, speed, T, lag=lag, ramp=ramp)
     if ramp:
-        assert states["evidence"] < -1e-3
+        assert states[-1]["evidence"] < -1e-3
         assert np.abs(np.diff(sent[100:])).max() == pytest.approx(most * T)
     else:
-        assert states["evidence"] > 0
+        assert states[-1]["evidence"] > 0
         assert np.abs(np.diff(sent[100:])).max() > 1.5 * most * T
     if not ramp and not lag:
         np.testing.assert_allclose(sent[20:], speed[20:], atol=1e-12)  # from there on it is shown
@@ -190,8 +193,49 @@ def test_corrections_exceed_a_max_only_where_the_motion_shows_that_the_robot_fol
         u = {"q": [0.0], "dq_model": [0.0], "q_model": [0.0], "slope": [1.0], "epsilon": [0.0], "T": T}
         u |= {"dq_r": [sign * 9.0], "dq_path": [sign * needed]}
         item = block.evaluate(u, {**start(), **sums, "count": 10 / T}, robot="pendulum")
-        room = {"ramp": most * T, "path": needed, "corrections": 2 * needed}[limits]
+        room = {"ramp": most * T, "path": needed, "corrections": 3.0}[limits]  # u_max is 3
         assert float(item.outputs["dq_sent"][0]) == pytest.approx(sign * room)
+
+
+@pytest.mark.parametrize(("evidence", "follows"), [(-9e-4, 1), (-1.1e-3, 0)])
+def test_that_the_robot_follows_remains_shown_until_a_ramp_is(evidence: float, follows: int) -> None:
+    missed_u = np.full((1, 6), -evidence)
+    sums = {"missed_r": np.zeros((1, 6)), "missed_u": missed_u, "count": 1e6, "follows": 1}
+    u = {"q": [0.0], "dq_r": [0.0], "dq_path": [0.0], "dq_model": [0.0], "q_model": [0.0], "slope": [1.0]}
+    item = KIND(a_max=[0.5], doubt=1e-3 * 8 / 9).evaluate(
+        {**u, "epsilon": [0.0], "T": T}, {**start(), **sums}, robot="pendulum"
+    )  # N/9 is a ninth of the evidence
+    assert float(item.next["follows"]) == follows
+
+
+@pytest.mark.parametrize(("ramp", "lag"), [(False, 0.0), (False, 0.03), (True, 0.0), (True, 0.03)])
+def test_the_trial_shows_on_a_slow_path_whether_the_robot_follows(ramp: bool, lag: float) -> None:
+    most, dt, share = 1.4, 0.02, 0.03
+    speed = 0.1 * np.sin(dt * np.arange(100))  # up to 0.1 rad/s^2
+    _, states = moved(most, speed, dt, lag=lag, ramp=ramp)
+    assert float(states[-1]["evidence"]) == 0
+    sent, states = moved(most, speed, dt, lag=lag, ramp=ramp, trial=[share], doubt=1e-4)
+    assert [float(states[k]["follows"]) for k in (15, -1)] == [not ramp] * 2
+    wave = np.array([float(np.ravel(after["wave"])[0]) for after in states[1:]])
+    size = most * dt / 2 + share
+    np.testing.assert_allclose(np.abs(wave[wave != 0]), size)
+    assert np.abs(np.diff(sent)).max() > 2 * size - most * dt
+    assert np.flatnonzero(wave)[-1] * dt <= 0.25
+    assert abs(dt * wave.sum()) < 3e-3
+    if ramp:
+        assert np.abs(np.diff(sent[15:])).max() <= most * dt + 1e-12
+
+
+@pytest.mark.parametrize(("speed", "time", "tries"), [(0.9, 0.24, 1), (0.9, 0.26, 0), (0.95, 0.24, 1), (0.97, 0.24, 0)])
+def test_the_trial_ends_in_time_and_leaves_commands_within_u_max(speed: float, time: float, tries: int) -> None:
+    """The square wave has the amplitude 1.4 T/2 + 0.03 = 0.044."""
+    u = {"q": [T * speed], "dq_model": [speed], "q_model": [T * speed], "slope": [1.0], "epsilon": [0.0], "T": T}
+    u |= {"dq_r": [speed], "dq_path": [speed]}
+    states = {"q_before": [0.0], "queue": [[speed]], "path_before": [speed], "ramped": [speed], "count": time / T}
+    states["forecasts"] = np.full((1, 2 * HALF), T * speed)
+    item = KIND(a_max=[1.4], trial=[0.03], u_max=[1.0]).evaluate(u, states, robot="pendulum")
+    assert float(np.ravel(item.next["wave"])[0]) == pytest.approx(0.044 * tries)
+    assert float(item.outputs["dq_sent"][0]) == pytest.approx(speed + 0.044 * tries)
 
 
 def test_a_servo_that_lags_behind_many_short_accelerations_is_not_taken_for_a_ramp() -> None:
@@ -206,7 +250,7 @@ def test_a_servo_that_lags_behind_many_short_accelerations_is_not_taken_for_a_ra
         plain += dt * ((v - r) ** 2 - (v - u) ** 2)
     assert plain < -1e-3
     assert (
-        states["evidence"] > -0.2 * np.ravel(states["missed_u"])[0] / 9
+        states[-1]["evidence"] > -0.2 * np.ravel(states[-1]["missed_u"])[0] / 9
     )  # what a lag between those of the filters may leave
 
 

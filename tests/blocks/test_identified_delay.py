@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import math
+import shutil
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,6 +66,29 @@ def test_with_the_delay_that_the_probe_identifies_the_error_is_far_below_that_of
         assert run.error is not None
         ends.append(run.error.rms_final)
     assert ends[0] < 0.02 * ends[1]
+
+
+def test_with_stops_and_twice_the_friction_the_identified_delay_has_the_least_error(tmp_path: Path) -> None:
+    """The delay is 1; the study ``identified_delay.py`` has the cells of the race."""
+    shutil.copy(Path(__file__).parents[2] / "docs" / "study" / "shifted_delay.py", tmp_path)
+    made = aggregated(1).data
+    blocks, wires = dict(made["blocks"]), dict(made["wires"])
+    path = {"center": [0.6, 0.2], "radius": [0.1, 0.02, 0, 0], "rate": [0.5, -0.8, 0, 0], "phase": [0, 1, 0, 0]}
+    blocks["path"] = {"type": "epicycles", **path, "stop": 1, "every": "4 s"}
+    blocks["arm"] = {"type": "manipulator", "viscous": [2, 1], "coulomb": [1, 0.4]}
+    errors = {}
+    for shift in (-1, 0, 1):
+        blocks["shifted"] = {"type": "shifted_delay.py:ShiftedDelay", "shift": shift}
+        wires |= {f"{name}.delay_hat": "shifted.delay_hat" for name in ("task", "inverse", "mix")}
+        wires["shifted.delay_probed"] = "probe.delay_hat"
+        file = tmp_path / f"shifted_{shift}.yaml"
+        file.write_text(json.dumps({**made, "blocks": blocks, "wires": wires}), encoding="utf-8")
+        run = dm.load(file).run(progress=False, judge=False)
+        assert run["probe.delay_hat"].values[-1] == 1
+        assert run["shifted.delay_hat"].values[-1] == 1 + shift
+        final = run.error.rms_final if run.error else None
+        errors[shift] = math.inf if final is None else final  # None: the run diverged
+    assert errors[0] < 0.5 * min(errors[-1], errors[1])
 
 
 def test_the_trip_replaces_a_delay_that_is_too_short() -> None:

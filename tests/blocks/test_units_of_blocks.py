@@ -45,7 +45,7 @@ RADIANS: Final[Mapping[str, str]] = {
     "encoder": "step noise window time_constant",
     "filtered_adaptation": "leak error_leak",
     "filtered_regressor": "bandwidth weight Gamma_b",
-    "expert_aggregation": "rate memory weight_gain quiet roughness Gamma nu u_max a_max doubt lag_time",
+    "expert_aggregation": "rate memory weight_gain quiet roughness Gamma nu u_max a_max doubt lag_time trial",
     "force_sensor": "noise",
     "image_regulation": "alpha",
     "indirect_adaptation": "leak error_leak",

@@ -224,3 +224,18 @@ def test_a_fork_whose_parent_has_ended_stops_to_wait(monkeypatch: pytest.MonkeyP
 def test_a_value_that_was_never_given_is_an_error() -> None:
     with pytest.raises(EOFError, match="not given"):
         Later[int]().take()
+
+
+class Unreadable:
+    """A result whose pickle raises where it is read."""
+
+    def __reduce__(self) -> tuple[type[int], tuple[str]]:
+        return int, ("no number",)
+
+
+@LINUX
+def test_a_result_that_cannot_be_read_is_computed_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = os.getpid()
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 2)
+    with shared([lambda: here if os.getpid() == here else Unreadable()], busy=True, forks_only=True) as finished:
+        assert finished() == [here]

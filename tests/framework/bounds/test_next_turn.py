@@ -124,6 +124,14 @@ def test_no_turn_with_a_constant_estimate_exceeds_the_bound() -> None:
     assert other.largest < turns().bound(other).bound.value
 
 
+def test_the_premise_of_the_bound_is_nearly_met_and_fails_with_the_bound_if_friction_changes() -> None:
+    """One parameter explains both turns up to little more than the observed eta, unless the robot is another one."""
+    assert np.max(turns().premise(turned())) < 1.2
+    other = turns().of({}, TURN, later={"arm.coulomb": 5, "servo.K_P": 0.5})
+    assert np.max(turns().premise(other)) > 3
+    assert other.largest > turns().bound(other).bound.value
+
+
 def test_the_error_of_a_simulated_turn_is_the_predicted_one_moved_by_its_prediction_errors() -> None:
     """Up to products of them; the prediction knows the controller and its estimate, not the plant."""
     _, turn = predicted()
@@ -155,6 +163,8 @@ def test_a_larger_eta_gives_a_larger_bound_and_one_that_is_too_small_is_refused(
     least = np.array(turns().bound(turned()).found.least)
     with pytest.raises(NoBoundError, match="the smallest limit is"):
         turn_bound(recorded, turn, 0.9 * least)
+    with pytest.raises(NoBoundError, match="grows without limit"):
+        turn_bound(recorded, replace(turn, gains=np.full_like(turn.gains, np.inf)))
     with pytest.raises(ValueFault, match="expected one number above zero, or one for each of 2 joints"):
         turns().bound(turned(), eta=[1e-3, 1e-3, 1e-3])
     assert turns().bound(turned(), eta=0.01).found.source == "given"
@@ -181,10 +191,11 @@ def test_a_run_and_a_drive_of_the_same_samples_print_the_same_bound() -> None:
     [
         ({}, 3, "the run has no full turn of a repeated path"),
         ({"log": {"every": 2}}, 8, "samples are missing, or are not one period apart"),
+        ({"jitter": "1 ms"}, 8, "samples are not one period apart: they have a jitter"),
         ({"reality": {"encoder": {"step": 1e-5}}}, 8, "its rows do not vary with the positions"),
         ({"inverse.settling": 100}, 8, "its rows do not vary with the positions"),
     ],
-    ids=["short", "decimated", "rounded", "constant"],
+    ids=["short", "decimated", "jitter", "rounded", "constant"],
 )
 def test_a_run_without_a_bound_has_the_reason(changed: dict[str, Any], seconds: float, reason: str) -> None:
     run = (graph().set(changed) if changed else graph()).until(seconds).run()

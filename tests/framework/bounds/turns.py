@@ -7,18 +7,23 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 import dmframe as dm
 from dmframe.block.model import SYMBOLIC
+from dmframe.bounds.next_turn import turn_bound
+from dmframe.bounds.polytope import least_residual
 from dmframe.common.slices import slices
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
+from dmframe.results import next_turn as results
 from dmframe.results.at_instants import AtInstants
 from dmframe.results.next_turn import NextTurn, next_turn
 from dmframe.simulate import Recording
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import build_step
 
+NOTHING: Mapping[str, Any] = {}
 STILL = 1e200
 """A floor of the update steps with which they have no length."""
 
@@ -58,15 +63,20 @@ class Turns:
         for item in self.loop.parameters:
             self._places[item.label] = slice(first, first := first + item.symbol.numel())
 
-    def of(self, factors: Mapping[str, Any], turn: float, floor: float = STILL) -> Turn:
-        """A robot whose parameters are multiplied, and a turn of that many seconds after its run."""
+    def of(self, factors: Mapping[str, Any], turn: float, later: Mapping[str, Any] = NOTHING) -> Turn:
+        """A robot whose parameters are multiplied, and a turn of that many seconds after its run.
+
+        `later` are factors for that turn only.
+        """
         clock, p, x = self.graph.clock or 0.0, self.loop.p_values.copy(), self.start.copy()
         for label, factor in factors.items():
             p[self._places[label]] *= factor
         count, states, shown = round(self.seconds / clock), list[np.ndarray](), list[np.ndarray]()
         for k in range(count + round(turn / clock) + 1):
             if k == count + 1:
-                p[self._places[self.floor]] = floor
+                p[self._places[self.floor]] = STILL
+                for label, factor in later.items():
+                    p[self._places[label]] *= factor
             states.append(x)
             x, seen = (item.full().ravel() for item in self.step.tick(x, self.step.instants.rows(k, k + 1)[0], p))
             shown.append(seen)
@@ -100,3 +110,24 @@ class Turns:
 
     def bound(self, turn: Turn, eta: Any = None) -> NextTurn:
         return next_turn(turn.recording, self.claim, eta)
+
+    def premise(self, turn: Turn) -> np.ndarray:
+        """(joints,) least eta over the observed one, with which one theta explains both turns.
+
+        The rows of the second turn are the predicted ones. At most 1: the premise of the bound holds.
+        """
+        seen = list[Any]()
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(results, "turn_bound", lambda *given: seen.append(given) or turn_bound(*given))
+            self.bound(turn)
+        recorded, predicted, _ = seen[0]
+        errors, needed = self.prediction_errors(turn), list[float]()
+        count = min(len(errors), len(predicted.rows))
+        for j, part in enumerate(recorded.joints):
+            estimate = recorded.estimate[part]
+            lower, upper = recorded.lower[part] - estimate, recorded.upper[part] - estimate
+            rows = np.vstack([recorded.rows[:, part], predicted.rows[:count, part]])
+            left = np.concatenate([recorded.errors(recorded.estimate)[:, j], errors[:count, j]])
+            scale = np.minimum((upper - lower) / 2, 1)
+            needed.append(least_residual(rows * scale, left, lower / scale, upper / scale))
+        return np.asarray(needed) / recorded.observed

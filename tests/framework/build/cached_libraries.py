@@ -1,10 +1,8 @@
-"""The libraries in a cache folder, which also contains a folder of robots."""
+"""The libraries in a cache folder, which also contains folders of robots and of verdicts."""
 
 from pathlib import Path
 
-from dmframe.config.cached_robot import FOLDER
-
 
 def libraries(cache: Path) -> list[Path]:
-    """All entries except the folder of robots, sorted."""
-    return sorted(path for path in cache.iterdir() if path.name != FOLDER)
+    """All entries except folders, sorted."""
+    return sorted(path for path in cache.iterdir() if not path.is_dir())

@@ -240,7 +240,7 @@ def test_a_divisor_whose_interval_holds_zero_leaves_a_condition_undecided_and_re
     assert verdict.outcome == "not_applicable"
     (failing,) = (condition for condition in verdict.conditions if not condition.holds)
     assert (failing.value, failing.how) == (None, "undecided")
-    assert failing.expression == "1/(servo.K_D - 79) > 0; undecided: a divisor is zero, or its interval holds zero"
+    assert failing.expression == "1/(servo.K_D - 79) > 0; undecided: a divisor is zero, or its interval contains zero"
     Draft202012Validator(verdict_schema()).validate(summary("undecided", verdict))
 
 

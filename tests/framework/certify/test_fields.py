@@ -56,7 +56,7 @@ WRONG: dict[str, Callable[[], object]] = {
     "Square: expected vector to be an expression, found a list": lambda: Square([x, x]),
     "Square: expected weight to be an expression, found a bool": lambda: Square(x, True),
     "Square: expected weight to be an expression, found an ndarray": lambda: Square(x, np.array(["2"])),
-    "what a term is called is printed from its expression": lambda: Square("x", x),
+    "the name of a term is printed from its expression": lambda: Square("x", x),
     "Lemma: expected phi to be a text, found a builtin": lambda: Lemma(x, x, x, x, len),
     "Lemma: expected scale to be an expression, found a dict": lambda: Lemma(x, x, x, {}),
     "NormSquare: expected by to be an expression": lambda: NormSquare(x, x, "b"),

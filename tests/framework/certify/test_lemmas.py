@@ -146,7 +146,8 @@ def test_a_block_of_a_user_with_a_wrong_sign_is_refuted_with_its_name() -> None:
 def test_a_claim_that_needs_a_property_which_the_field_lacks_is_neither_proved_nor_refuted() -> None:
     verdict = verdict_of(diagram(extra={"damping": OddDamping(beta=3, v=0.1)}))
     assert verdict.outcome == "not_applicable"
-    assert verdict.reason.startswith("not decided: dV/dt is what the blocks claim at every real point that was tried")
+    expected = "not decided: dV/dt equals what the blocks claim at every real point that was tried"
+    assert verdict.reason.startswith(expected)
 
 
 def test_an_error_in_a_certificate_is_reported_with_its_line() -> None:
@@ -174,7 +175,7 @@ FORMS = {
         c.supply,
     ),
     "expected a scalar supply, found 2 x 1": lambda c, u: Certificate(c.storage, (), u.sigma),
-    "dominates has 2 shares, expected one for each of 0": lambda c, u: Certificate(
+    "dominates has 2 factors, expected one for each of 0": lambda c, u: Certificate(
         c.storage, (), c.supply, dominates=(ca.SX(1), ca.SX(1))
     ),
     "a cascade has consumes and cannot have dominates": lambda c, u: Certificate(
@@ -183,7 +184,7 @@ FORMS = {
     "a certificate with dominates must dissipate squares": lambda c, u: Certificate(
         c.storage, (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), c.supply, dominates=(ca.SX(1),)
     ),
-    "a certificate holds foreign, which is no signal": lambda c, u: Certificate(
+    "a certificate contains foreign, which is neither a signal": lambda c, u: Certificate(
         c.storage, (Square(u.sigma, FOREIGN),), c.supply
     ),
     "states another dissipation when evaluated again": lambda c, u: Certificate(

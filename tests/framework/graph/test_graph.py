@@ -317,7 +317,7 @@ def test_an_unknown_engine_is_refused(pendulum: dm.Graph) -> None:
 
 def test_a_run_states_that_its_loop_is_unstable_on_its_clock_though_it_stayed_bounded() -> None:
     notices = dm.load("ur10_slow").run("12 s").notices
-    assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in notices)
+    assert any("unstable near its set-point with a clock of 90 ms, spectral radius" in notice for notice in notices)
     assert dm.load("ur10_slow").run("5 s").notices == ()  # too short to be shown
     assert dm.load("ur10_fast").run("12 s").notices == ()
 

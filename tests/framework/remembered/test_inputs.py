@@ -80,13 +80,14 @@ def test_files_folders_variables_and_looks_are_recorded(
     Path("made").write_text("1")
     assert Path("data").read_text() == Path("made").read_text()
     os.environ.get("A_GAIN")
+    os.getenvb(b"OTHER_GAIN") if hasattr(os, "getenvb") else os.getenv("OTHER_GAIN")
     list(tmp_path.iterdir())
     probed(tmp_path / "absent.yaml")
     entry = begun.entry()
     assert entry is not None
     inputs = entry["inputs"]
     assert str(tmp_path / "data") not in inputs["content"]  # it was written here, so it is not an input
-    assert inputs["variable"]["A_GAIN"] == "absent"
+    assert inputs["variable"]["A_GAIN"] == inputs["variable"]["OTHER_GAIN"] == "absent"
     assert str(tmp_path) in inputs["names"]
     assert inputs["probe"][str(tmp_path / "absent.yaml")] == "no file"
     assert str(Path(recorder.__file__)) in inputs["content"]
