@@ -22,6 +22,7 @@ from types import ModuleType
 from typing import TypeGuard
 
 from dmframe.block import AbstractBlock
+from dmframe.block.reloaded import CODE
 from dmframe.common import trust
 from dmframe.common.errors import BlockError, UnknownNameError
 from dmframe.common.files import expanded, is_file, probed
@@ -137,7 +138,8 @@ def _load(path: Path, source: bytes, where: str) -> ModuleType:
     sys.modules[name] = module
     try:
         # not by the loader: it trusts a cached compilation of a file that has the same size and second
-        exec(compile(source, path, "exec"), vars(module))
+        vars(module)[CODE] = compile(source, path, "exec")
+        exec(vars(module)[CODE], vars(module))
     except BaseException as error:  # SystemExit included: the message gives the line in the user's file
         del sys.modules[name]
         if isinstance(error, KeyboardInterrupt):

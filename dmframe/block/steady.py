@@ -21,6 +21,7 @@ from dmframe.block.base import AbstractBlock, Equations
 from dmframe.block.certificate import SX
 from dmframe.block.numberless import LARGER, SMALLER, given_values, remade, with_other_numbers
 from dmframe.block.parameter import specs
+from dmframe.block.reloaded import STEADY, made_again
 from dmframe.common.errors import BlockError
 
 Stating = Callable[[AbstractBlock], Mapping[str, Any]]
@@ -94,6 +95,10 @@ class Steadiness:
                 for other in _others(self._block, factors):
                     if changed := self._known.changed(_Flat(self._stating(other))):
                         raise _unsteady(self.name, self._block, self._statement, changed, self._stating)
+            again = made_again(self.name, self._block)
+            if again is not None and (changed := self._known.changed(_Flat(self._stating(again)))):
+                text = f"{self.name}: {self._statement} another {changed} when its file is loaded again; {STEADY}"
+                raise BlockError(text)
         finally:
             remade(self._block)  # restores the values stored by validators
 

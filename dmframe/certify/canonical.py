@@ -16,6 +16,17 @@ from typing import Any, final
 
 Data = dict[str, Any]
 
+KINDS = {
+    "parameter": "constant",
+    "stepping": "constant",
+    "trajectory": "given",
+    "period": "given",
+    "noise": "given",
+    "command": "given",
+    "projection": "correction",
+}
+"""Kind of a symbol in the file, by its kind in the claim; others are the same."""
+
 
 def canonical(file: Mapping[str, Any], kappa: Fraction) -> Data:
     """The file, whose terms may have a ``level`` and the role ``cross``, in canonical form."""
@@ -36,18 +47,8 @@ class _Form:
         combined, gone = self._dominated(terms, file.get("cross", []))
         kept = [k for k in range(len(terms)) if k not in gone]
         self.found["terms"] = [terms[k] for k in kept] + combined
-        empty: Data = dict.fromkeys(("projections", "masses", "linear", "ranks", "steps"))
-        self.found |= {key: list(file.get(key, [])) for key in empty}
-        for item in self.found["projections"]:
-            item["term"] = kept.index(item["term"])
-            item |= {key: self._wide(item[key], item["state"]) for key in ("true", "lower", "upper") if key in item}
-        for item in self.found["masses"]:
-            if item["rotors"] is not None:
-                item["rotors"] = self._as_wide_as(item["rotors"], item["position"])
-        for item in self.found["linear"]:
-            item["rates"] = [
-                [self._as_wide_as(k, z) for k, z in zip(row, item["vectors"], strict=True)] for row in item["rates"]
-            ]
+        for key in ("robots", "stable", "ranks"):
+            self.found[key] = list(file.get(key, []))
         self.found["symbols"] = [self._symbol(item) for item in file["symbols"]]
         optional = {"margin": None, "strict": True}
         self.found["conditions"] = [{**optional, **item} for item in file["conditions"]]
@@ -55,6 +56,7 @@ class _Form:
             {"signal": item["signal"], "says": item["says"], "vector": item.get("vector")}
             for item in file["conclusions"]
         ]
+        self.found["vectors"] = [elements for _, elements in self._vectors]
 
     # ---- Instructions and vectors
 
@@ -104,25 +106,20 @@ class _Form:
     def _as_wide_as(self, vector: int, other: int) -> int:
         return self._spread(vector, len(self._elements(other)))
 
-    def _wide(self, vector: int, label: str) -> int:
-        (symbol,) = (item for item in self.found["symbols"] if item["label"] == label)
-        return self._spread(vector, symbol["size"])
-
     # ---- Symbols and terms
 
     def _symbol(self, item: Mapping[str, Any]) -> Data:
         exact = "values" in item
         numbers = [[x, x] for x in item["values"]] if exact else item.get("numbers")
-        return {**{key: item[key] for key in ("label", "kind", "size")}, "numbers": numbers, "exact": exact}
+        own = {"label": item["label"], "kind": KINDS.get(item["kind"], item["kind"]), "size": item["size"]}
+        return {**own, "numbers": numbers, "exact": exact}
 
     def _term(self, item: Mapping[str, Any]) -> Data:
-        term: Data = {"assumed": None, "phi": None, **item, "parts": dict(item["parts"])}
+        term: Data = {**item, "parts": dict(item["parts"])}
         parts = term["parts"]
-        size = parts.get("vector", parts.get("first"))
-        if term["role"] != "cross" and size is not None:
-            for name in {"weight", "scale", "width"} & parts.keys():
-                parts[name] = self._as_wide_as(parts[name], size)
-        if not term.pop("level") and self._share is not None:
+        if term["role"] != "cross" and "vector" in parts:
+            parts |= {name: self._as_wide_as(k, parts["vector"]) for name, k in parts.items()}
+        if not term.pop("level") and self._share is not None and "weight" in parts:
             rows, weight = self._vectors[parts["weight"]]
             parts["weight"] = self._vector([self._product(x, self._share) for x in weight], rows)
         return term

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from importlib.resources import files
 from types import MappingProxyType
@@ -16,9 +17,9 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.block.certificate import SX, Lemma, Potential, Square, StableLinear, soft_clip
+from dmframe.block.certificate import SX, Lemma, NormalisedSteps, Potential, Square, StableLinear, soft_clip
 from dmframe.block.model import symbols_in
-from dmframe.certify.assemble import assembled
+from dmframe.certify.assemble import RULES, assembled
 from dmframe.certify.canonical import canonical
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
@@ -26,6 +27,7 @@ from dmframe.certify.definite import body_matrix, is_matrix
 from dmframe.certify.limits import Combinations, full_rank, solutions
 from dmframe.certify.statements import linear_subsystems, signals_of
 from dmframe.certify.symbols import exact_values, symbols_of
+from dmframe.certify.unfolded import Unfolded, energy, lyapunov, square, stepped
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
 from dmframe.diagram.projection import Box
@@ -34,22 +36,17 @@ from dmframe.exact import MERSENNE_127
 from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
 from dmframe.prove.columns import by_columns
+from dmframe.robot.parameters import INERTIAL
+from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 FORMAT: Final = "dmframe-certificate"
-VERSION: Final = 3
-
-ROLES: Final = {"stored": "stored", "dissipation": "dissipated", "residual": "residual"}
-"""Role in the file, by the role in the claim."""
+VERSION: Final = 4
 
 PARTS: Final = {
-    "norm_square": ("vector", "weight", "by"),
-    "monotone": ("weight", "first", "second", "scale"),
-    "gathered": ("vector", "weight", "memory", "regressor", "by", "forgetting"),
-    "potential": ("vector", "width", "weight"),
-    "log_det": ("matrix", "true", "weight"),
-    "clipped": ("first", "width", "other"),
+    "monotone": {"vector": "first", "other": "second", "scale": "scale", "weight": "weight"},
+    "potential": {"vector": "vector", "scale": "width", "weight": "weight"},
 }
-"""Fields from which the checker forms a term; a square has its parts in the claim."""
+"""Fields of a term from which the checker forms it, by their names in the file; another rule is only named."""
 
 
 Intervals = Mapping[str, Sequence[Interval]]
@@ -89,27 +86,13 @@ class _Writer:
     def content(self, about: Mapping[str, str]) -> dict[str, Any]:
         """The whole file."""
         of = self._of
-        parts = {part.block: self._extra_parts(part) for part in of.parts}
         own = self._own_statements()
         rates = {} if of.over_samples else self._rates()
         self._claim = claim = assembled(of, self._verdict.uncertain, self._more)
-        terms = list(self._terms(claim, parts))
-        found: dict[str, Any] = {
-            "format": FORMAT,
-            "version": VERSION,
-            "about": dict(about),
-            "over": claim.operator,
-            "terms": [term for *_, term in terms],
-        }
+        found: dict[str, Any] = {"format": FORMAT, "version": VERSION, "about": dict(about), "over": claim.operator}
         moved = dict(claim.moved) if of.over_samples else rates
         self._moving = moved.keys()
         found["rates"] = {label: self._id(out) for label, out in moved.items()}
-        places = {(block, role, at): k for k, (block, role, at, _) in enumerate(terms)}
-        if of.over_samples:
-            found |= self._over_samples(claim)
-        else:
-            found["cross"] = list(self._cross(places))
-            found["projections"] = list(self._projections(places))
         found |= {name: self._with_ids(items) for name, items in own.items()}
         found["assumed"] = [str(item.text) for item in self._verdict.assumptions]
         symbols, program, vectors = by_columns(claim, self._used, self._labels(claim))
@@ -161,86 +144,80 @@ class _Writer:
                 moving |= leaf.identities
         return {label: self._vector(f"rate of {label}", rate) for label, rate in of.flow.rates_of(moving).items()}
 
-    def _extra_parts(self, part: Part) -> dict[tuple[str, int], dict[str, str]]:
-        """Fields of the terms that are no squares, by role and position."""
-        stated = part.certificate
-        found = dict[tuple[str, int], dict[str, str]]()
-        for role, items in (
-            ("stored", stated.storage),
-            ("dissipation", stated.dissipation),
-            ("residual", stated.residual),
-        ):
-            for k, term in enumerate(items):
-                if not isinstance(term, Square):
-                    rule = data_rule(term)
-                    found[role, k] = {
-                        name: self._vector(f"{part.block}.{role} {k}: {name}", ca.SX(getattr(term, name)))
-                        for name in PARTS[rule]
-                    }
+    def _own_statements(self) -> dict[str, Any]:
+        """Statements whose expressions are entered before the program is read."""
+        of = self._of
+        places, terms = dict[tuple[str, str, int], int](), list[dict[str, Any]]()
+        for part in of.parts:
+            for role, k, item in self._unfolded(part):
+                places.setdefault((part.block, role, k), len(terms))
+                terms.append(self._entered(item, part))
+        found: dict[str, Any] = {"conditions": list(map(self._condition, self._verdict.conditions))}
+        self._projected = [] if of.over_samples else list(self._projections(terms, places))
+        found["cross"] = [] if of.over_samples else list(self._cross(places, terms))
+        found["terms"] = terms + self._projected
+        if not of.over_samples:
+            found["robots"] = list(self._robots())
+            pairs = [lyapunov(self._joined(item)) for _, item in linear_subsystems(of) if not item.inputs]
+            found["stable"] = [{key: self._vector(key, x) for key, x in item.items()} for item in pairs if item]
+            found["ranks"] = list(self._ranks())
+        found["conclusions"] = self._conclusions()
         return found
 
-    def _terms(self, claim: data.Claim, extra: Mapping[str, Any]) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
-        """Block, role and position of each term, and the term."""
-        stated = {part.block: part.certificate for part in self._of.parts}
-        for part in claim.parts:
-            own = stated[part.block]
-            given = {"stored": own.storage, "dissipation": own.dissipation, "residual": own.residual}
-            for role, name in ROLES.items():
-                for k, (term, source) in enumerate(zip(getattr(part, role), given[role], strict=True)):
-                    parts = term.parts if term.rule == "square" else extra[part.block][role, k]
-                    item = {
-                        "name": f"{part.block}: {term.name}",
-                        "level": part.weight,
-                        "role": name,
-                        "rule": term.rule,
-                        "parts": {key: self._id(out) for key, out in parts.items()},
-                    }
-                    if isinstance(source, Square) and source.positive:
-                        item["assumed"] = source.positive
-                    if isinstance(source, Lemma):
-                        item["phi"] = source.phi
-                    yield part.block, role, k, item
-            if part.consumed is not None:
-                ids = {key: self._id(out) for key, out in part.consumed.parts.items()}
-                yield (
-                    part.block,
-                    "cross",
-                    0,
-                    {"name": part.block, "level": part.weight, "role": "cross", "rule": "square", "parts": ids},
-                )
+    def _unfolded(self, part: Part) -> Iterator[tuple[str, int, Unfolded]]:
+        """Role and position in the block's certificate of each term of the file, and the term."""
+        stated = part.certificate
+        for item in stated.steps:
+            label = f"{part.block}.{item.estimate}"
+            if isinstance(item, NormalisedSteps):
+                yield from (("steps", 0, term) for term in stepped(label, item))
+            else:
+                yield "steps", 0, Unfolded(label, "dissipated", item.rule, {})
+        for role, name, terms in (
+            ("stored", "stored", stated.storage),
+            ("dissipation", "dissipated", stated.dissipation),
+            ("residual", "residual", stated.residual),
+        ):
+            for k, term in enumerate(terms):
+                yield from ((role, k, item) for item in self._of_term(f"{part.block}: {term.of}", name, term))
+        if stated.consumes is not None:
+            yield "cross", 0, square(part.block, "cross", stated.consumes.vector, stated.consumes.c)
 
-    def _cross(self, places: Mapping[Any, int]) -> Iterator[dict[str, Any]]:
+    def _of_term(self, name: str, role: str, term: Any) -> Iterator[Unfolded]:
+        if isinstance(term, Square):
+            found = None
+            if role == "stored" and (is_matrix(self._of, term.weight) or term.vector.is_scalar()):
+                found = body_matrix(self._of, (term.weight + term.weight.T) / 2)
+            if found is None:
+                yield square(name, role, term.vector, term.weight, term.positive or None)
+            else:
+                q, robot, inertia, rotors = found
+                yield from energy(name, robot, q, term.vector, inertia, rotors)
+        else:
+            rule = RULES[type(term).__name__]
+            parts = {key: ca.SX(getattr(term, own)) for key, own in PARTS.get(rule, {}).items()}
+            yield Unfolded(name, role, term.phi if isinstance(term, Lemma) else rule, parts)
+
+    def _entered(self, item: Unfolded, part: Part) -> dict[str, Any]:
+        """A term with the names of its vectors; `level` is that of its block in a cascade."""
+        cascade = part.cascade or not self._of.cascaded
+        parts = {key: self._vector(f"{item.name}: {key}", x) for key, x in item.parts.items()}
+        own = {"name": item.name, "role": item.role, "rule": item.rule, "assumed": item.assumed}
+        return {**own, "level": "" if cascade else "kappa", "parts": parts}
+
+    def _cross(self, places: Mapping[Any, int], terms: Sequence[Any]) -> Iterator[dict[str, Any]]:
+        """Cross terms, each with its shares of the squares that dominate it."""
         for consumer, block in self._of.cross_terms:
             assert block is not None
             by = [
-                [self._id(self._shares[block.block][k]), places[block.block, "dissipation", k]]
+                [self._vector(f"{block.block}: share", share), places[block.block, "dissipation", k]]
                 for k, share in enumerate(block.certificate.dominates)
                 if not ca.SX(share).is_zero()
             ]
             yield {"term": places[consumer.block, "cross", 0], "by": by}
 
-    def _projections(self, places: Mapping[Any, int]) -> Iterator[dict[str, Any]]:
-        for key, item in self._projected:
-            yield {"term": places[key], **self._with_ids(item)}
-
-    def _own_statements(self) -> dict[str, Any]:
-        """Statements whose expressions are entered before the program is read."""
-        of = self._of
-        self._shares = {
-            part.block: [self._vector(f"{part.block}: share", share) for share in part.certificate.dominates]
-            for part in of.parts
-        }
-        self._projected = [] if of.over_samples else list(self._projection_data())
-        found: dict[str, Any] = {"conditions": list(map(self._condition, self._verdict.conditions))}
-        if not of.over_samples:
-            found["masses"] = list(self._masses())
-            found["linear"] = [self._linear(item) for _, item in linear_subsystems(of) if not item.inputs]
-            found["ranks"] = list(self._ranks())
-        found["conclusions"] = self._conclusions()
-        return found
-
-    def _projection_data(self) -> Iterator[tuple[tuple[str, str, int], dict[str, Any]]]:
-        """Key of the stored square of each projected estimate, and the data of its projection."""
+    def _projections(self, terms: Sequence[Any], places: Mapping[Any, int]) -> Iterator[dict[str, Any]]:
+        """Terms of the projected estimates, with the weight that the stored square of the error has."""
         of = self._of
         for part in of.parts:
             for projection in of.loop.projections:
@@ -253,75 +230,54 @@ class _Writer:
                     for k, term in enumerate(part.certificate.storage)
                     if own & {x.element_hash() for piece in term.pieces for x in ca.symvar(ca.SX(piece))}
                 )
-                name, item = projection.name, dict[str, Any]()
-                true = of.loop.joined([estimate.value + ca.SX.zeros(projection.state.shape[0])])[0]
-                item["state"] = name
-                item["set"], item["true"] = projection.kind, self._vector(f"{name}: true value", true)
+                wide = ca.SX.zeros(projection.state.shape[0])
+                true = of.loop.joined([estimate.value + wide])[0]
+                parts = {"vector": projection.state, "correction": projection.correction, "true": true}
                 if isinstance(projection.set, Box):
-                    ends = (projection.set.lower, projection.set.upper)
-                    wide = [end + ca.SX.zeros(projection.state.shape[0]) for end in map(ca.SX, ends)]
-                    item["lower"], item["upper"] = (self._vector(f"{name}: bound", end) for end in wide)
-                yield (part.block, "stored", place), item
+                    parts |= {"lower": projection.set.lower + wide, "upper": projection.set.upper + wide}
+                rule = "projected" if isinstance(projection.set, Box) else projection.kind
+                item = self._entered(Unfolded(projection.name, "dissipated", rule, parts), part)
+                stored = terms[places[part.block, "stored", place]]
+                item["parts"] |= {"weight": stored["parts"]["weight"]} if "weight" in stored["parts"] else {}
+                yield item
 
-    def _masses(self) -> Iterator[dict[str, Any]]:
-        """Weights that are mass matrices, with the chain of bodies."""
-        of = self._of
-        for part in of.parts:
-            for term in (*part.certificate.storage, *part.certificate.dissipation):
-                if isinstance(term, Square) and (is_matrix(of, term.weight) or term.vector.is_scalar()):
-                    found = body_matrix(of, (term.weight + term.weight.T) / 2)
-                    if found is not None:
-                        q, robot, inertia, rotors = found
-                        yield {
-                            "weight": self._vector("a mass matrix", term.weight),
-                            "position": self._vector("q", q),
-                            "translations": self._vector("translations", robot.a_k),
-                            "inertia": self._vector("inertia", inertia),
-                            "rotors": None if rotors.is_zero() else self._vector("rotors", rotors),
-                            "motion": self._motion(q, robot, inertia),
-                            "joints": [
-                                {
-                                    "kind": joint.kind,
-                                    "axis": [str(x) for x in joint.axis],
-                                    "rotation": [str(x) for row in joint.rotation for x in row],
-                                }
-                                for joint in robot.chain.joints
-                            ],
-                        }
+    def _joined(self, item: StableLinear) -> StableLinear:
+        joined = self._of.loop.joined
+        rates = tuple(tuple(joined(list(map(ca.SX, row)))) for row in item.rates)
+        return replace(item, vectors=tuple(joined(list(item.vectors))), rates=rates)
 
-    def _motion(self, q: SX, robot: Any, inertia: SX) -> dict[str, str] | None:
-        """The robot's equation of motion: the torque of servo, environment and friction; None for another plant."""
+    def _robots(self) -> Iterator[dict[str, Any]]:
+        """Robots whose acceleration follows from the torque of servo, environment and friction."""
         of = self._of
         for name, model in of.diagram.models.items():
-            outputs = set(model.equations.outputs)
-            if model.robot is not robot or not {"q", "dq", "ddq", "K", "B", "D"} <= outputs:
+            outputs, robot = set(model.equations.outputs), model.robot
+            if robot is None or not {"q", "dq", "ddq", "K", "B", "D"} <= outputs:
                 continue
             seen = view(of.diagram, name, of.truths).u
             out = {key: of.diagram.resolver.output(name, key) for key in ("q", "dq", "ddq", "K", "B", "D")}
             share = of.diagram.resolver.output(name, "g_share") if "g_share" in outputs else ca.SX(1)
             torque = out["K"] * seen.u - out["B"] * out["dq"] - out["D"] * robot.coulomb(out["dq"])
             torque = torque + (seen.tau_ext if "tau_ext" in seen else 0)
-            names = ("velocity", "acceleration", "gravity", "torque", "position")
-            wanted = (out["dq"], out["ddq"], share * robot.gravity, torque, out["q"])
-            velocity, acceleration, gravity, torque, position = of.loop.joined(list(wanted))
-            if not ca.is_equal(position, q, 2):
-                continue
-            (share,) = of.loop.joined([share])
-            moved = robot.inverse_dynamics(q, velocity, velocity, acceleration, inertia, gravity_share=share)
+            wanted = (out["q"], out["dq"], out["ddq"], share, torque)
+            q, dq, ddq, share, torque = of.loop.joined(list(wanted))
+            moved = robot.inverse_dynamics(q, dq, dq, ddq, robot.inertia, gravity_share=share)
+            rotors = ca.SX.zeros(robot.n)
             if "I_r" in outputs:
-                moved = moved + of.loop.joined([of.diagram.resolver.output(name, "I_r")])[0] * acceleration
-            if not symbols_of(of).vanishes("motion", moved - torque, trials=1):
-                return None
-            found = zip(names, (velocity, acceleration, gravity, torque), strict=False)
-            return {key: self._vector(f"{name}: {key}", value) for key, value in found}
-        return None
+                rotors = ca.densify(of.loop.joined([of.diagram.resolver.output(name, "I_r")])[0] + rotors)
+            labels = [v.label for v in of.loop.plant if ca.is_equal(v.symbol, q)]
+            if labels and symbols_of(of).vanishes("motion", moved + rotors * ddq - torque, trials=1):
+                own = {"rotors": rotors, "gravity": share * robot.gravity, "torque": torque}
+                own = {key: self._vector(f"{name}: {key}", x) for key, x in own.items()}
+                yield {"position": labels[0], "joints": list(self._joints(robot, q)), **own}
 
-    def _linear(self, item: StableLinear) -> dict[str, Any]:
-        joined = self._of.loop.joined
-        return {
-            "vectors": [self._vector("z", z) for z in joined(list(item.vectors))],
-            "rates": [[self._vector("rate", rate) for rate in joined(list(map(ca.SX, row)))] for row in item.rates],
-        }
+    def _joints(self, robot: Any, q: SX) -> Iterator[dict[str, Any]]:
+        """Joints with the transforms of their bodies, [R r] at q, and the bodies' pseudo-inertias."""
+        rows = ca.vertsplit(robot.inertia, len(INERTIAL))
+        for joint, link, body in zip(robot.chain.joints, robot.links(q), rows, strict=True):
+            S = pseudo_inertia(ca.vertsplit(body))
+            lower = ca.vertcat(*(S[i][k] for i in range(4) for k in range(i + 1)))
+            own = {"axis": link.axis, "place": ca.horzcat(link.rotation, link.offset), "body": lower}
+            yield {"kind": joint.kind, **{key: self._vector(f"{joint.name}: {key}", x) for key, x in own.items()}}
 
     def _ranks(self) -> Iterator[dict[str, Any]]:
         """Matrices R of full row rank, with vectors b that go to zero since R'b does: errors, their forces in a
@@ -370,30 +326,8 @@ class _Writer:
                 found.append({"signal": str(item.signal), "says": item.says, "vector": vector})
         return found
 
-    def _over_samples(self, claim: data.Claim) -> dict[str, Any]:
-        steps = [
-            {
-                "rule": item.rule,
-                "estimate": f"{part.block}.{item.estimate}",
-                "sizes": list(item.sizes),
-                "rows": item.rows,
-                "box": item.box,
-                "parts": {name: self._id(out) for name, out in item.parts.items() if name != "theta"},
-            }
-            for part in claim.parts
-            for item in part.steps
-        ]
-        return {"steps": steps}
-
     def _labels(self, claim: data.Claim) -> set[str]:
         """Labels that the file's statements name."""
         states = {symbol.label for symbol in claim.symbols if symbol.kind in ("state", "time")}
         states |= self._moving
-        return states | {f"{item['state']}, correction" for _, item in self._projected} | set(claim.moves)
-
-
-def data_rule(term: Any) -> str:
-    """Name of a term's rule in a claim."""
-    from dmframe.certify.assemble import RULES
-
-    return RULES[type(term).__name__]
+        return states | {f"{item['name']}, correction" for item in self._projected} | set(claim.moves)

@@ -34,7 +34,7 @@ from dmframe.common.copies import shared
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import DV, UNNAMED, Text, Written, joined, sentence
 from dmframe.diagram import Diagram
-from dmframe.exact import ZeroTest
+from dmframe.exact import ZeroDivision, ZeroTest
 from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
 from dmframe.prove.export import digest
@@ -189,6 +189,8 @@ def _verified(
             controls, nothing, *others = done()[len(rows) :]
     except ValueFault as error:
         return undefined(error)
+    except ZeroDivision:
+        return undefined(ValueFault("a denominator is zero everywhere; expected rates that are defined, of each state"))
     test = replace(combined([first, *others]), seed=own)
     if not test.zero:
         return refuted(test)

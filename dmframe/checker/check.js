@@ -13,8 +13,7 @@ globalThis.checker = (() => {
   const need = (condition, text) => condition || fail(text);
 
   const WANTED = -300, SIZES = [149, 269, 521], LARGEST = 1 << 22, BIG = 1n << 20000n;
-  const CONSTANT = ["parameter", "constant", "stepping"], GIVEN = ["trajectory", "period", "noise", "command"];
-  const KINDS = [...CONSTANT, ...GIVEN, "time", "state", "projection"];
+  const KINDS = ["constant", "given", "time", "state", "correction"];
   const BOUNDED = "sin cos tanh atan atan2 sign lt le eq not and".split(" ");
   const UNARY = "sin cos tanh atan sqrt exp log fabs sign floor not".split(" ");
   const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
@@ -38,27 +37,16 @@ globalThis.checker = (() => {
   const least = (all) => all.reduce((x, y) => (less(y, x) ? y : x));
   const most = (all) => all.reduce((x, y) => (less(x, y) ? y : x));
   const positive = (x) => x[0] > 0n;
-  const minusOne = [-1n, 1n], zeroQ = [0n, 1n];
-  const plusI = (a, b) => [sum(a[0], b[0]), sum(a[1], b[1])];
+  const zeroQ = [0n, 1n], exact = (a) => a[0] === a[1], point = (x) => [x, x]; // an exact interval has one number, twice
+  const plusI = (a, b) => (exact(a) && exact(b) ? point(sum(a[0], b[0])) : [sum(a[0], b[0]), sum(a[1], b[1])]);
   const timesI = (a, b, same) => {
+    if (exact(a) && exact(b)) return point(product(a[0], b[0]));
     const ends = a.flatMap((x) => b.map((y) => product(x, y)));
     return [same ? most([zeroQ, least(ends)]) : least(ends), most(ends)];
   };
-  const negI = (a) => timesI([minusOne, minusOne], a), minusI = (a, b) => plusI(a, negI(b));
-  const inverseI = (a) => (positive(a[0]) || a[1][0] < 0n ? [fraction(a[1][1], a[1][0]), fraction(a[0][1], a[0][0])] : null);
-
-  // All symmetric matrices in these intervals are positive definite if all pivots are.
-  function definite(rows) {
-    while (rows.length) {
-      const [first, ...rest] = rows, pivot = first[0];
-      if (!positive(pivot[0])) return false;
-      rows = rest.map((row) => {
-        const factor = timesI(row[0], inverseI(pivot));
-        return row.slice(1).map((x, k) => minusI(x, timesI(factor, first[k + 1])));
-      });
-    }
-    return true;
-  }
+  const negQ = ([n, d]) => [-n, d], negI = (a) => (exact(a) ? point(negQ(a[0])) : [negQ(a[1]), negQ(a[0])]), minusI = (a, b) => plusI(a, negI(b));
+  const inverseQ = ([n, d]) => fraction(d, n);
+  const inverseI = (a) => (positive(a[0]) || a[1][0] < 0n ? (exact(a) ? point(inverseQ(a[0])) : [inverseQ(a[1]), inverseQ(a[0])]) : null);
 
   function rational(text) {
     need(typeof text === "string" && text.length < 4000 && /^-?\d+(\/0*[1-9]\d*)?$/.test(text), `no fraction: ${text}`);
@@ -163,11 +151,13 @@ globalThis.checker = (() => {
       need(x.length === y.length, "size");
       return x.reduce((total, a, k) => this.add(total, this.mul(a, y[k])), ZERO);
     }
-    minus(x, y) {
+    minus(x, y) { return this.pairs("sub", x, y); }
+    plus(x, y) { return this.pairs("add", x, y); }
+    times(x, y) { return this.pairs("mul", x, y); }
+    pairs(name, x, y) {
       need(x.length === y.length, "size");
-      return x.map((a, k) => this.sub(a, y[k]));
+      return x.map((a, k) => (this[name] ? this[name](a, y[k]) : this.call(name, a, y[k])));
     }
-    total(x) { return x.reduce((a, b) => this.add(a, b), ZERO); }
     matmul(X, Y) { return X.map((row) => Y[0].map((_, j) => this.dot(row, Y.map((line) => line[j])))); }
   }
 
@@ -177,19 +167,20 @@ globalThis.checker = (() => {
   // ---- The file
 
   const LISTS = {
-    "symbols": "label kind size numbers exact", "terms": "name role rule parts assumed phi", "projections": "term state set true lower upper",
-    "masses": "weight position translations inertia rotors motion joints", "linear": "vectors rates", "ranks": "name matrix vector",
-    "steps": "rule estimate rows sizes box parts", "conditions": "name margin strict", "conclusions": "signal says vector",
+    "symbols": "label kind size numbers exact", "terms": "name role rule parts assumed", "robots": "position joints rotors gravity torque",
+    "stable": "vector weight loss", "ranks": "name matrix vector", "conditions": "name margin strict", "conclusions": "signal says vector",
   };
-  const TOP = `format version about over program vectors rates assumed ${Object.keys(LISTS).join(" ")}`, FLOW = ["projections", "masses", "linear", "ranks"];
-  const PARTS = { "square": "vector weight", "monotone": "weight first second scale", "potential": "vector width weight" };
-  const ROLES = { "stored": ["square", "potential"], "dissipated": ["square", "monotone"], "residual": ["square"] };
+  const TOP = `format version about over program vectors rates assumed ${Object.keys(LISTS).join(" ")}`, FLOW = ["robots", "stable", "ranks"];
+  const PHI = "vector other scale weight", PARTS = {
+    "square": "vector weight", "potential": "vector scale weight", "tanh": PHI, "atan": PHI, "projected": "vector correction true lower upper weight",
+  };
+  const ROLES = { "stored": ["square", "potential"], "dissipated": ["square", "tanh", "atan", "projected"], "residual": ["square"] };
 
   function keys(item, text, names) {
     const must = names.split(" "), wrong = [...Object.keys(item).filter((x) => !must.includes(x)), ...must.filter((x) => !Object.hasOwn(item, x))];
     need(!wrong.length, `${text}: missing or unknown: ${wrong}`);
     for (const name of ["name", "signal", "says", "label"]) if (must.includes(name)) printable(item[name]);
-    for (const name of ["exact", "strict", "box"]) need(!must.includes(name) || typeof item[name] === "boolean", name);
+    for (const name of ["exact", "strict"]) need(!must.includes(name) || typeof item[name] === "boolean", name);
     return item;
   }
   const LINE = new RegExp("^( |[^\\p{C}\\p{Z}])*$", "u"), printable = (x) => (typeof x === "string" && LINE.test(x) ? x : fail("a text"));
@@ -202,11 +193,11 @@ globalThis.checker = (() => {
 
   class Certificate {
     constructor(data) {
-      need(data.format === "dmframe-certificate" && data.version === 3 && ["flow", "sample"].includes(data.over), "version: expected 3; write the file again");
+      need(data.format === "dmframe-certificate" && data.version === 4 && ["flow", "sample"].includes(data.over), "version: expected 4; write the file again");
       this.samples = data.over === "sample";
       keys(data, "the file", TOP);
       for (const [name, own] of Object.entries(LISTS)) this[name] = list(data[name]).map((item) => keys(item, name, own));
-      need((this.samples ? FLOW : ["steps"]).every((name) => !this[name].length), `a rule over a ${data.over}`);
+      need(!this.samples || FLOW.every((name) => !this[name].length), `a rule over a ${data.over}`);
       need(new Set(this.conclusions.map((x) => `${x.signal} ${x.says}`)).size === this.conclusions.length, "a conclusion occurs twice");
       this.graph = new Graph();
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
@@ -216,28 +207,27 @@ globalThis.checker = (() => {
       this.fixed = this.symbols.filter((item) => item.exact && item.size).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
       const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
-      this.rows = list(data.vectors).map(([rows]) => rows);
-      this.vectors = data.vectors.map(([, elements]) => elements.map((k) => at(nodes, k + 1)));
+      this.vectors = list(data.vectors).map((elements) => list(elements).map((k) => at(nodes, k + 1)));
       this.assumed = data.assumed.map(printable);
       this.moves = new Map(Object.entries(data.rates).map(([label, k]) => {
-        const item = this.symbol(label), kinds = this.samples ? ["state"] : ["state", "trajectory"];
-        need(kinds.includes(item.kind) && this.vector(k).length === item.size, `the rate of ${label}`);
-        if (item.kind !== "state") for (const x of this.graph.reads(this.vector(k))) need(!["state", "projection"].includes(this.symbols[x].kind), `the rate of ${label}`);
+        const item = this.symbol(label), given = ["constant", "given", "time"];
+        need(this.vector(k).length === item.size, `the rate of ${label}`);
+        need(item.kind === "state" || (!this.samples && item.kind === "given" && this.of(this.vector(k), given)), `the rate of ${label}`);
         return [this.places.get(label), this.vector(k)];
       }));
       this.terms = this.terms.map((item) => this.readTerm(item));
       this.derivatives = new Map();
-      const stored = this.terms.filter((item) => item.role === "stored").flatMap((item) => Object.keys(item.parts).map((x) => item[x]));
-      need(stored.length || this.steps.length, "V");
-      this.constant(stored.flat(), "V", true);
+      const moved = this.terms.flatMap((item) => item.correction ?? []);
+      need(this.samples || new Set(moved).size === moved.length, "a correction occurs twice");
+      need(this.terms.some((item) => item.role === "stored"), "V");
     }
     readSymbol({ label, kind, size, numbers, exact }) {
-      need(KINDS.includes(kind) && (whole(size) === 1 || !["time", "period"].includes(kind)) &&
-        (numbers === null ? !exact : kind === "parameter" && list(numbers).length === size), `${label}: its numbers`);
+      need(KINDS.includes(kind) && whole(size) >= 0 &&
+        (numbers === null ? !exact : kind === "constant" && list(numbers).length === size), `${label}: its numbers`);
       numbers?.forEach((pair, k) => {
         const ends = pair.map(rational), [low, high] = ends.map(String);
         need(ends.length === 2 && !less(ends[1], ends[0]) && (low === high || !exact), `${label}: its numbers`);
-        this.known.set(this.graph.input(this.places.get(label), k), ends);
+        this.known.set(this.graph.input(this.places.get(label), k), low === high ? point(ends[0]) : ends);
       });
     }
     readProgram({ operations, constants, code, a, b }) {
@@ -257,35 +247,31 @@ globalThis.checker = (() => {
       return nodes;
     }
     readTerm(item) {
-      need(Object.hasOwn(ROLES, item.role) && ROLES[item.role].includes(item.rule), `${item.name}: unknown rule ${item.rule} of a ${item.role} term`);
-      keys(item.parts, item.name, PARTS[item.rule]);
-      if (item.assumed !== null) printable(item.assumed);
-      const parts = Object.fromEntries(Object.entries(item.parts).map(([name, k]) => [name, this.vector(k)]));
-      need((item.rule === "monotone" ? ["tanh", "atan"] : [null]).includes(item.phi) && (!this.samples || item.rule === "square"), `${item.name}: its role`);
-      return { ...item, ...parts };
+      const { name, role, rule, assumed } = item;
+      need(Object.hasOwn(ROLES, role) && ROLES[role].includes(rule) && (!this.samples || ["square", "projected"].includes(rule)), `${name}: unknown rule ${rule} of a ${role} term`);
+      keys(item.parts, name, PARTS[rule]);
+      if (assumed !== null) printable(assumed);
+      return { name, role, rule, assumed, ...Object.fromEntries(Object.entries(item.parts).map(([key, k]) => [key, this.vector(k)])) };
     }
     symbol(label) { return this.symbols[this.places.get(label) ?? fail(label)]; }
     inputs(label) { return Array.from({ length: this.symbol(label).size }, (_, k) => this.graph.input(this.places.get(label), k)); }
     vector(k) { return at(this.vectors, k); }
-    stored(k) {
-      const found = at(this.terms, k);
-      need(found.role === "stored" && found.rule === "square", `${found.name}: its role`);
-      return found;
-    }
-    next(label) { return this.moves.get(this.places.get(label)) ?? fail(label); }
-    // These depend on constants alone; or, if `moving`, also on what has a rate.
-    constant(nodes, text, moving) {
-      for (const k of this.graph.reads(nodes)) {
-        const { kind, label } = this.symbols[k], moves = this.moves.has(k) || (kind === "time" && !this.samples);
-        need(CONSTANT.includes(kind) || (moving && moves), label);
-      }
+    kind(k) { return this.graph.op[k] === INPUT ? this.symbols[this.graph.a[k]].kind : ""; }
+    // True if these depend on symbols of these kinds alone.
+    of(nodes, kinds) { return [...this.graph.reads(nodes)].every((k) => kinds.includes(this.symbols[k].kind)); }
+    next(k) { return this.moves.get(this.graph.a[k])?.[this.graph.b[k]] ?? fail("a rate"); }
+    // The derivative of a node, or the difference to its next value.
+    change(node) {
+      const g = this.graph;
+      if (!this.samples) return this.exactRates([node])[0];
+      return g.sub(g.replaced([node], (k) => (this.kind(k) === "constant" ? k : this.next(k)))[0], node);
     }
     // Derivatives; NONE where there is none, or of a symbol without a rate.
     rates(nodes) {
       const g = this.graph;
       return g.rates(nodes, (k) => {
         const { kind } = this.symbols[g.a[k]], rate = this.moves.get(g.a[k]);
-        return rate ? rate[g.b[k]] : kind === "time" ? ONE : CONSTANT.includes(kind) ? ZERO : NONE;
+        return rate ? rate[g.b[k]] : kind === "time" ? ONE : kind === "constant" ? ZERO : NONE;
       }, this.derivatives);
     }
     exactRates(nodes) {
@@ -303,131 +289,93 @@ globalThis.checker = (() => {
     return vector.map((x, k) => (rows ? g.dot(rows[k], vector) : g.mul(weight[k], x)));
   }
 
+  const symmetric = (g, rows) => rows.map((row, i) => row.map((x, k) => g.mul(g.number([1n, 2n]), g.add(x, rows[k][i]))));
+
   function termValue(of, term) {
-    const g = of.graph, a = term.vector, w = term.weight;
-    if (term.rule === "square") return g.dot(a, weighted(g, w, a));
-    if (term.rule === "monotone") { // sum w (a - b) (phi(a / v) - phi(b / v))
-      const { first, second, scale: v } = term, phi = [first, second].map((x) => x.map((x, k) => g.call(term.phi, g.div(x, at(v, k)))));
-      return g.dot(w, g.minus(first, second).map((x, k) => g.mul(x, g.sub(phi[0][k], phi[1][k]))));
+    const g = of.graph, { rule, vector: a, weight: w, scale: v } = term, scaled = (x) => x.map((x, k) => g.div(x, at(v, k)));
+    need(!v || v.length === a.length, "size");
+    if (rule === "square") return g.dot(a, weighted(g, w, a));
+    if (rule === "projected") { // -w (x - true) c
+      const { correction: c } = term, x = of.samples ? g.plus(a, c) : a;
+      return g.neg(g.dot(w, g.times(g.minus(x, term["true"]), c)));
     }
-    // sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
-    need(term.width.length === a.length, "size");
-    const gains = term.width.map((v, k) => g.mul(g.mul(v, v), g.sub(root(g, a[k], v), ONE)));
-    return g.dot(w, gains.map((x) => g.add(x, x)));
+    if (rule === "potential") { // sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
+      const gains = v.map((v, k) => g.mul(g.mul(v, v), g.sub(root(g, a[k], v), ONE)));
+      return g.dot(w, gains.map((x) => g.add(x, x)));
+    }
+    // sum w (a - b) (phi(a / v) - phi(b / v))
+    const phi = [a, term.other].map((x) => scaled(x).map((x) => g.call(rule, x)));
+    return g.dot(w, g.times(g.minus(a, term.other), g.minus(...phi)));
   }
   const root = (g, x, v) => g.call("sqrt", g.add(ONE, g.mul(g.div(x, v), g.div(x, v))));
 
+  // What a projection adds to the rates of estimates; over samples, what moves values into their box.
+  function corrected(of, { vector, correction, lower, upper }) {
+    const g = of.graph;
+    if (of.samples) return g.minus(g.pairs("fmin", g.pairs("fmax", vector, lower), upper), vector);
+    need(vector.every((k) => of.kind(k) === "state") && correction.every((k) => of.kind(k) === "correction"), "a projection");
+    return g.minus(vector.map((k) => of.next(k)), nominal(of, vector, correction));
+  }
+  // Rates of estimates without the corrections of their projection.
+  const nominal = (of, vector, correction) => of.graph.replaced(vector.map((k) => of.next(k)), (k) => (correction.includes(k) ? ZERO : k));
+
   // Names and nodes that must vanish; the first one is V, which must not.
   function equalities(of) {
-    const g = of.graph, half = g.number([1n, 2n]), found = [];
+    const g = of.graph, half = g.number([1n, 2n]), found = of.robots.flatMap((item) => robot(of, item));
     let V = ZERO, total = ZERO;
     for (const term of of.terms) {
       const value = termValue(of, term);
       if (term.role === "stored") {
-        const later = () => g.sub(g.replaced([value], (k) => of.moves.get(g.a[k])?.[g.b[k]] ?? k)[0], value);
         V = g.add(V, value);
-        total = g.add(total, g.mul(half, of.samples ? later() : of.exactRates([value])[0]));
+        total = g.add(total, g.mul(half, of.change(value)));
       } else total = g[term.role === "dissipated" ? "add" : "sub"](total, value);
+      if (term.rule === "projected") found.push([`the correction of ${term.name}`, g.minus(corrected(of, term), term.correction)]);
     }
-    for (const item of of.projections) { // (estimate - true value)' W correction
-      const term = of.stored(item.term), name = item.state, estimate = of.inputs(name), other = `${name}, correction`, correction = of.inputs(other);
-      need(of.symbol(name).kind === "state" && item.set === "box" && of.symbol(other).kind === "projection", `${name}: its projection`);
-      total = g.sub(total, g.dot(weighted(g, term.weight, term.vector), correction));
-      const true_ = of.vector(item.true), without = g.replaced(of.next(name), (k) => (correction.includes(k) ? ZERO : k));
-      found.push([`the error of ${name}`, g.minus(term.vector, g.minus(estimate, true_))]);
-      found.push([`the rate of ${name}`, of.exactRates(true_)]);
-      found.push([`the rate of ${name}`, g.minus(g.minus(of.next(name), without), correction)]);
-    }
-    for (const item of of.masses) found.push(...robot(of, item));
-    for (const item of of.steps) found.push(...stepsOf(of, item));
-    return [["V", [of.steps.length ? ONE : V]], [of.samples ? "V(next) - V" : "dV/dt", [total]], ...found];
+    return [["V", [V]], [of.samples ? "V(next) - V" : "dV/dt", [total]], ...found];
   }
 
   // A chain of rigid bodies in homogeneous coordinates: T places link i in the world, and its pseudo-inertia S is the
   // integral of r r' dm over the points r = (x, y, z, 1) of the link. With the Jacobian U_j = dT/dq_j and its rates, V the
   // rate of T and C its acceleration less gravity, the force of joint j is sum_i tr(U_j S C'), by d'Alembert's principle.
   function robot(of, item) {
-    const g = of.graph, motion = item.motion && keys(item.motion, "a motion", "velocity acceleration gravity torque");
-    const [q, moves, inertia, weight] = ["position", "translations", "inertia", "weight"].map((name) => of.vector(item[name])), n = q.length;
-    const rotors = item.rotors === null ? Array(n).fill(ZERO) : of.vector(item.rotors);
-    const zero = Array(n).fill(ZERO), still = [zero, zero, zero, zero];
-    const [dq, ddq, gravity, torque] = motion ? ["velocity", "acceleration", "gravity", "torque"].map((name) => of.vector(motion[name])) : still;
-    need(n && item.joints.length === n && rotors.length === n && moves.length >= 3 * n && inertia.length === 10 * n, "size");
+    const g = of.graph, q = of.inputs(item.position), n = q.length, [rotors, gravity, torque] = ["rotors", "gravity", "torque"].map((name) => of.vector(item[name]));
+    const dq = of.exactRates(q), ddq = of.exactRates(dq), found = [];
+    need(n && of.of(rotors, ["constant"]) && item.joints.length === n && rotors.length === n && gravity.length === 3, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
     const rows = (column) => [0, 1, 2].map((i) => [0, 1, 2, 3].map((j) => (column ? (j === 3 ? g.neg(column[i]) : ZERO) : i === j ? ONE : ZERO)));
-    const sums = [...zero], M = zero.map(() => [...zero]);
-    let T = rows(), V = rows([ZERO, ZERO, ZERO]), C = motion ? rows(gravity) : V, U = [];
+    const sums = Array(n).fill(ZERO);
+    let T = rows(), V = rows([ZERO, ZERO, ZERO]), C = rows(gravity), U = [];
     item.joints.forEach((own, i) => {
-      const { A, K } = joint(g, own, q[i], moves.slice(3 * i, 3 * i + 3)), S = pseudo(g, inertia.slice(10 * i, 10 * i + 10)), moved = g.matmul(V, A);
+      const { A, K, S, zeros } = joint(of, own, q[i]), moved = g.matmul(V, A);
+      found.push(...zeros);
       T = g.matmul(T, A);
       U = [...U.map((X) => g.matmul(X, A)), g.matmul(T, K)];
       V = plus(moved, scaled(U[i], dq[i]));
       C = plus(g.matmul(C, A), g.matmul(scaled(plus(moved, V), dq[i]), K), scaled(U[i], ddq[i]));
-      U.forEach((X, j) => {
-        const momentum = g.matmul(X, S).flat();
-        U.forEach((Y, k) => { M[j][k] = g.add(M[j][k], g.dot(momentum, Y.flat())); });
-        sums[j] = g.add(sums[j], g.dot(momentum, C.flat()));
-      });
+      const inertial = g.matmul(C, S).flat();
+      U.forEach((X, j) => { sums[j] = g.add(sums[j], g.dot(X.flat(), inertial)); });
     });
-    rotors.forEach((x, i) => { M[i][i] = g.add(M[i][i], x); });
-    const found = [["the mass matrix", g.minus(weight, M.flat())], ["the rates of the bodies", of.exactRates([...moves, ...inertia, ...rotors])]];
-    if (motion) {
-      found.push(["torque", g.minus(sums.map((x, i) => g.add(x, g.mul(rotors[i], ddq[i]))), torque)]);
-      found.push(["velocity", g.minus(of.exactRates(q), dq)], ["acceleration", g.minus(of.exactRates(dq), ddq)]);
-    }
-    return found;
+    return [...found, ["the robot's equation of motion", g.minus(sums.map((x, i) => g.add(x, g.mul(rotors[i], ddq[i]))), torque)]];
   }
 
-  // The transform A of a joint, with dA/dq = A K.
-  function joint(g, item, q, origin) {
-    keys(item, "a joint", "kind axis rotation");
-    const axis = item.axis.map(rational), R = transposed(matrix(item.rotation.map(rational), 3));
-    const one = (rows) => rows.every((x, i) => rows.every((y, j) => String(x.reduce((s, a, k) => sum(s, product(a, y[k])), zeroQ)) === (i === j ? "1,1" : "0,1")));
-    const minor = (i, j) => sum(product(R[0][i], R[1][j]), product(minusOne, product(R[0][j], R[1][i])));
-    need(axis.length === 3 && R.flat().length === 9 && one([axis]) && one(R) && [0, 1, 2].every((k) => String(R[2][k]) === String(minor((k + 1) % 3, (k + 2) % 3))), "a joint");
-    const [x, y, z] = axis.map((x) => g.number(x)), a = [x, y, z], turns = item.kind === "revolute";
-    need(turns || item.kind === "prismatic", "a joint");
+  // The transform A of a joint, K with dA/dq = A K, its body, and what must vanish.
+  function joint(of, item, q) {
+    keys(item, "a joint", "kind axis place body");
+    const g = of.graph, [a, place, body] = ["axis", "place", "body"].map((name) => of.vector(item[name])), [x, y, z] = a, turns = item.kind === "revolute";
+    need((turns || item.kind === "prismatic") && a.length === 3 && place.length === 12, "a joint");
+    const P = matrix(place, 3), R = P.map((row) => row.slice(0, 3)), dots = (X, Y) => X.flatMap((x, i) => Y.map((y, j) => g.sub(g.dot(x, y), i === j ? ONE : ZERO)));
+    const minor = (k, [i, j] = [(k + 1) % 3, (k + 2) % 3]) => g.sub(g.mul(R[0][i], R[1][j]), g.mul(R[0][j], R[1][i]));
     const K = turns ? [[ZERO, g.neg(z), y, ZERO], [z, ZERO, g.neg(x), ZERO], [g.neg(y), x, ZERO, ZERO]] : a.map((e) => [ZERO, ZERO, ZERO, e]);
-    let turned = R.map((row) => row.map((x) => g.number(x)));
-    if (turns) {
-      const c = g.call("cos", q), s = g.call("sin", q);
-      turned = g.matmul(turned, a.map((e, i) => a.map((f, j) =>
-        g.add(g.add(i === j ? c : ZERO, g.mul(s, K[i][j])), g.mul(g.sub(ONE, c), g.mul(e, f))))));
-    } else origin = origin.map((e, i) => g.add(e, g.mul(q, g.dot(turned[i], a))));
-    return { A: [...turned.map((row, i) => [...row, origin[i]]), [ZERO, ZERO, ZERO, ONE]], K: [...K, Array(4).fill(ZERO)] };
+    K.push(Array(4).fill(ZERO));
+    need(of.of(g.replaced(place, (k) => (k === q ? ZERO : k)), ["constant"]) && of.of([...a, ...body], ["constant"]), "a joint");
+    const A = [...P, [ZERO, ZERO, ZERO, ONE]], slopes = g.rates(P.flat(), (k) => (k === q ? ONE : ZERO), new Map());
+    return {
+      A, K, S: pseudo(body),
+      zeros: [["a rotation and an axis", [...dots(R, R), ...dots([a], [a]), ...R[2].map((x, k) => g.sub(x, minor(k)))]], ["a joint's motion", g.minus(slopes, g.matmul(P, K).flat())]],
+    };
   }
-  function pseudo(g, [m, hx, hy, hz, xx, xy, yy, xz, yz, zz]) {
-    const half = g.mul(g.number([1n, 2n]), g.total([xx, yy, zz])), [a, b, c] = [xy, xz, yz].map((x) => g.neg(x));
-    return [[g.sub(half, xx), a, b, hx], [a, g.sub(half, yy), c, hy], [b, c, g.sub(half, zz), hz], [hx, hy, hz, m]];
-  }
-
-  // Steps of an estimate: for each output and each of its rows (h, y) in turn, with e = y - h'theta:
-  // theta <- theta + D h e / n, n = floor + h' D h, D the gain. A box moves theta towards the true value inside it.
-  function stepsOf(of, { estimate: name, rule, rows, sizes, box, parts }) {
-    const g = of.graph, part = {}, own = Array.from({ length: whole(rows, 1) }, (_, k) => ` h${k} y${k}`).join("");
-    need(rule === "normalised", `${name}: unknown steps ${rule}`);
-    for (const [key, k] of Object.entries(keys(parts, name, `gain floor true${own}${box ? " lower upper" : ""}`))) {
-      part[key] = of.vector(k);
-      if (!/^[hy]\d/.test(key)) of.constant(part[key], name);
-    }
-    const state = of.inputs(name), moved = [], [floor] = part.floor;
-    need(of.symbol(name).kind === "state" && part.floor.length === 1, `${name}: its steps`);
-    let end = 0;
-    list(sizes).forEach((n, j) => {
-      const piece = (x) => x.slice(end, end + whole(n, 1)), gain = piece(part.gain);
-      let theta = piece(state);
-      for (let k = 0; k < rows; k++) {
-        const h = piece(part[`h${k}`]), direction = h.map((x, i) => g.mul(x, gain[i]));
-        const step = g.div(g.sub(part[`y${k}`][j], g.dot(h, theta)), g.add(floor, g.dot(h, direction)));
-        theta = theta.map((x, i) => g.add(x, g.mul(direction[i], step)));
-        if (box) theta = theta.map((x, i) => g.call("fmin", g.call("fmax", x, piece(part.lower)[i]), piece(part.upper)[i]));
-      }
-      moved.push(...theta);
-      end += n;
-    });
-    return [[`the next value of ${name}`, g.minus(of.next(name), moved)]];
-  }
+  const pseudo = (body) => [0, 1, 2, 3].map((i) => [0, 1, 2, 3].map((k) => at(body, Math.max(i, k) * (Math.max(i, k) + 1) / 2 + Math.min(i, k))));
 
   // ---- Degrees: bounds of a node's degree and height, of its numerator and of its denominator
 
@@ -452,7 +400,7 @@ globalThis.checker = (() => {
       }
       found.set(k, own);
     }
-    for (const of of Object.values(callers)) total += 2 * (of.size + 2) * add([...of].map((x) => add(x) + 4)); // x = y, x = -y, x = 0
+    for (const of of Object.values(callers)) total += of.size * add([...of].map((x) => add(x) + 4)); // x = y
     return total + add([0, 1].map((i) => Math.max(...nodes.map((k) => found.get(k)[i]))));
   }
 
@@ -474,20 +422,14 @@ globalThis.checker = (() => {
     for (; n; n >>= 1n, x = (x * x) % p) if (n & 1n) value = (value * x) % p;
     return value;
   }
-  // By the test of Miller and Rabin with 64 random bases.
+  // A prime of which -1 is no square: p = 3 mod 4, by the test of Miller and Rabin with 64 random bases.
   function randomPrime(size) {
     for (;;) {
-      const n = bits(size) | (1n << BigInt(size - 1)) | 1n;
-      let odd = n - 1n, twos = 0, k = 0;
-      for (; !(odd & 1n); odd >>= 1n) twos++;
-      const passes = () => {
-        let x = powered(below(n - 3n, size) + 2n, odd, n);
-        if (x === 1n) return true;
-        for (let i = 0; i < twos; i++, x = (x * x) % n) if (x === n - 1n) return true;
-        return false;
-      };
-      while (k < 64 && passes()) k++;
-      if (k === 64) return n;
+      const p = bits(size) | (1n << BigInt(size - 1)) | 3n;
+      let k = 0;
+      if ([3n, 5n, 7n, 11n, 13n, 17n, 19n, 23n, 29n, 31n, 37n].some((small) => p % small === 0n)) continue;
+      while (k < 64 && [1n, p - 1n].includes(powered(below(p - 3n, size) + 2n, p >> 1n, p))) k++;
+      if (k === 64) return p;
     }
   }
 
@@ -525,20 +467,17 @@ globalThis.checker = (() => {
           return this.given.get(k);
         case INPUT: return this.given.get(k) ?? this.random();
       }
-      const name = g.name(k), mirrored = x && p - x, even = x < mirrored ? x : mirrored;
-      if (this.frozen && BOUNDED.includes(name)) return /^(sin|cos)$/.test(name) ? this.turned(`of ${g.a[k]}`, name, 1n) : this.random();
-      if (name === "sin" || name === "cos") return x ? this.turned(`at ${even}`, name, x) : BigInt(name === "cos");
-      if (name === "fabs") return this.memo(`fabs ${even}`);
-      return this.memo(`${name} ${x} ${UNARY.includes(name) ? "" : y}`);
+      const name = g.name(k), own = this.frozen && BOUNDED.includes(name);
+      if (name === "sin" || name === "cos") return this.turned(own ? `of ${g.a[k]}` : `at ${x}`)[name];
+      return own ? this.random() : this.memo(`${name} ${x} ${UNARY.includes(name) ? "" : y}`);
     }
-    turned(circle, name, angle) {
+    turned(circle) {
       const { p, memory } = this;
       if (!memory.has(circle)) {
         const t = this.random(), scale = this.inverse((1n + t * t) % p);
         memory.set(circle, { cos: ((1n + (p - t) * t) * scale) % p, sin: (2n * t * scale) % p });
       }
-      const value = memory.get(circle)[name];
-      return name === "cos" || 2n * angle < p ? value : (p - value) % p;
+      return memory.get(circle);
     }
     // Rates of change of nodes along a direction (of input nodes).
     along(nodes, direction) {
@@ -565,18 +504,12 @@ globalThis.checker = (() => {
     const fixed = new Map(of.fixed.flatMap((label) => of.inputs(label)).map((k) => [k, of.known.get(k)[0]]));
     const total = Math.log2(degrees(of.graph, all, fixed)), size = SIZES.find((size) => total + 3 - size < -64);
     need(size, "size");
-    const error = 3 + total - size;
-    let points = 0;
-    for (let tried = 0; points * error > WANTED; need(tried++ < 40, "a divisor vanishes")) {
+    const error = 3 + total - size, points = Math.ceil(WANTED / error);
+    for (let k = 0; k < points; k++) {
       const point = new Point(of, randomPrime(size), size, new Map());
-      try {
-        for (const [k, value] of fixed) point.given.set(k, point.residue(value));
-        point.at(all);
-        for (const [name, nodes] of found) if (point.at(nodes).some((x) => x) === (name !== "V")) refute(`${name} does not hold`);
-        points++;
-      } catch (fault) {
-        if (!(fault instanceof Undecided)) throw fault;
-      }
+      for (const [k, value] of fixed) point.given.set(k, point.residue(value));
+      point.at(all);
+      for (const [name, nodes] of found) if (point.at(nodes).some((x) => x) === (name !== "V")) refute(`${name} does not hold`);
     }
     const last = new Point(of, randomPrime(size), size, new Map()); // no divisor vanishes with the file's numbers
     for (const [k, [low, high]] of of.known) if (String(low) === String(high)) last.given.set(k, last.residue(low));
@@ -587,23 +520,23 @@ globalThis.checker = (() => {
   // ---- Signs, conditions and small gain
 
   class Signs {
-    constructor(of) { Object.assign(this, { of, boxes: new Map(), assumed: [] }); }
-    // Intervals of nodes; null if they depend on more than parameters (and boxes), or on a function.
-    bounds(nodes, boxes = new Map()) {
+    constructor(of) { Object.assign(this, { of, boxes: new Map(), assumed: [], strict: new Set() }); }
+    // Intervals of nodes; null if they depend on more than these, or on a function.
+    bounds(nodes) {
       try {
-        return this.intervals(nodes, boxes);
+        return this.intervals(nodes);
       } catch (fault) {
         if (fault instanceof Undecided) return null;
         throw fault;
       }
     }
-    intervals(nodes, boxes) {
+    intervals(nodes) {
       const g = this.of.graph, found = new Map();
       for (const k of g.slice(nodes)) {
         const op = g.op[k], [a, b] = g.operands(k), [x, y] = [a, b].map((x) => found.get(x)), name = g.name(k);
         let own = null;
         if (op === NUMBER) own = [g.numbers[g.a[k]], g.numbers[g.a[k]]];
-        else if (op === INPUT) own = this.of.known.get(k) ?? boxes.get(k);
+        else if (op === INPUT) own = this.of.known.get(k) ?? this.boxes.get(k);
         else if (op === ADD) own = plusI(x, y);
         else if (op === SUB) own = minusI(x, y);
         else if (op === MUL) own = timesI(x, y, a === b);
@@ -616,66 +549,55 @@ globalThis.checker = (() => {
     }
     // 1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided.
     sign(nodes, size = 0) {
-      const values = this.bounds(nodes), rows = values && size > 1 && values.length === size * size && matrix(values, size);
-      if (!values || rows) return rows && String(rows) === String(transposed(rows)) && definite(rows) ? 1 : -1;
-      return Math.min(1, ...values.map(([[n]]) => (n > 0n) - (n < 0n)));
+      const values = this.bounds(size > 1 && nodes.length === size * size ? this.pivots(matrix(nodes, size)) : nodes);
+      return values ? Math.min(1, ...values.map(([[n]]) => (n > 0n) - (n < 0n))) : -1;
     }
-    inside(name, lower, true_, upper) {
-      const estimate = this.of.inputs(name), [low, high, value] = [lower, upper, true_].map((k) => this.bounds(this.of.vector(k)));
-      if (!low || !high || low.some((x, k) => less(high[k][0], x[1]))) refute(`${name}: its box`);
-      need([low, high, value ?? low].every((x) => x.length === estimate.length), "size");
-      if (!value) this.assumed.push(`${name}: its true value is inside the box`);
-      estimate.forEach((node, k) => {
-        if (value && (less(value[k][0], low[k][1]) || less(high[k][0], value[k][1]))) refute(`${name}: its true value`);
-        const box = [low[k][0], high[k][1]];
-        need(String(this.boxes.get(node) ?? box) === String(box), `${name}: its box`);
-        this.boxes.set(node, box);
+    // A matrix is positive definite if all pivots of its symmetric part are positive.
+    pivots(all) {
+      const g = this.of.graph, found = [];
+      let rows = symmetric(g, all);
+      while (rows.length) {
+        const [first, ...rest] = rows;
+        found.push(first[0]);
+        rows = rest.map((row) => row.slice(1).map((x, k) => g.sub(x, g.mul(g.div(row[0], first[0]), first[k + 1]))));
+      }
+      return found;
+    }
+    // True for a term that is not negative; `strict` collects those with a positive weight.
+    term(term) {
+      const { rule, name, weight, scale, assumed, vector } = term;
+      let sign = this.sign(weight, rule === "square" ? vector.length : 0);
+      if (assumed && !this.bounds(weight)) sign = this.assumed.push(`${name}: its weight is uniformly positive: ${assumed}`) && 1;
+      if (sign < 0 || (scale && this.sign(scale) < 1)) refute(`${name}: its sign`);
+      if (sign) this.strict.add(term);
+      if (rule === "projected") this.inside(term);
+    }
+    inside({ name, vector, lower, upper, "true": inner }) {
+      const { graph: g, samples } = this.of, ends = [g.minus(upper, lower)];
+      if (this.bounds(inner)) ends.push(g.minus(inner, lower), g.minus(upper, inner));
+      else this.assumed.push(`${name}: its true value is inside its box`);
+      if (ends.some((x) => this.sign(x) < 0)) refute(`${name}: its box`);
+      if (samples) return;
+      this.assumed.push(`${name}: it starts in its box, and its law is this projection`);
+      const [low, high] = [lower, upper].map((x) => this.bounds(x) ?? refute(`${name}: its box`));
+      vector.forEach((node, k) => {
+        need(!this.boxes.has(node), `${name}: two boxes`);
+        this.boxes.set(node, [low[k][0], high[k][1]]);
       });
-    }
-    weight(term) {
-      const { rule, name, weight: W } = term, n = rule === "square" ? term.vector.length : 0;
-      if (n && !this.bounds(W)) {
-        if (this.of.masses.some((item) => W.length === n * n && String(this.of.vector(item.weight)) === String(W))) return 1;
-        if (term.assumed) return this.assumed.push(`${name}: its weight is uniformly positive: ${term.assumed}`) && 1;
-      }
-      return rule === "square" || this.sign(term.scale ?? term.width) === 1 ? this.sign(W, n) : -1;
-    }
-    // A mass matrix is positive definite if each pseudo-inertia is, and no rotor's inertia is negative. What a trajectory,
-    // the load, adds to a body is assumed to be a body.
-    bodies({ inertia, rotors }) {
-      const { of } = this, g = of.graph, values = of.vector(inertia), load = (k) => of.symbols[k].kind === "trajectory";
-      for (let k = 0; k < values.length; k += 10) {
-        const S = pseudo(g, values.slice(k, k + 10)).flat(), loads = [...g.reads(S)].filter(load).map((k) => of.symbols[k].label);
-        for (const label of loads.sort()) this.assumed.push(`what ${label} adds to a body of the robot is a rigid body`);
-        if (this.sign(g.replaced(S, (x) => (load(g.a[x]) ? ZERO : x)), 4) < 1) refute("a body of the robot");
-      }
-      if (rotors !== null && this.sign(of.vector(rotors)) < 0) refute("a rotor of the robot");
     }
     // Checks all signs; returns the terms with a positive weight.
     check() {
-      const { of } = this, strict = new Set();
-      for (const item of of.masses) this.bodies(item);
-      for (const term of of.terms.filter((item) => item.role !== "residual")) {
-        const sign = this.weight(term);
-        if (sign < (term.role === "stored" ? 1 : 0)) refute(`${term.name}: its sign`);
-        if (sign === 1) strict.add(term);
-      }
-      for (const item of of.projections) {
-        const term = of.stored(item.term), name = item.state;
-        this.assumed.push(`${name}: it starts in its box, and its law is this projection`);
-        need(term.vector.length === term.weight.length, `${name}: its metric`);
-        this.inside(name, item.lower, item.true, item.upper);
-      }
-      for (const { parts, box, estimate } of of.steps) {
-        if (this.sign(of.vector(parts.gain)) !== 1 || this.sign(of.vector(parts.floor)) !== 1) refute(`${estimate}: its gain`);
-        if (box) this.inside(estimate, parts.lower, parts.true, parts.upper);
+      const { of } = this;
+      for (const term of of.terms) if (term.role !== "residual") this.term(term);
+      for (const { joints, rotors } of of.robots) {
+        if (joints.some(({ body }) => this.sign(pseudo(of.vector(body)).flat(), 4) < 1) || this.sign(of.vector(rotors)) < 0) refute("a body of the robot");
       }
       for (const item of of.conditions) {
         const margin = item.margin === null ? [] : of.vector(item.margin), text = `condition: ${item.name}`;
         if (!margin.length || !this.bounds(margin)) this.assumed.push(text);
         else if (this.sign(margin) < Number(item.strict)) refute(text);
       }
-      return strict;
+      return this.strict;
     }
   }
 
@@ -704,11 +626,11 @@ globalThis.checker = (() => {
   // Parameters have the numbers of the file.
   class Conclusions {
     constructor(of, signs, strict) {
-      const size = SIZES[0], p = randomPrime(size), first = new Point(of, p, size, new Map()), given = first.given;
+      const size = SIZES[1], p = randomPrime(size), first = new Point(of, p, size, new Map()), given = first.given;
       Object.assign(this, { of, g: of.graph, signs, strict, p, size, given, linear: [], pool: [], gone: [] });
       for (const { label, kind } of of.symbols) {
-        for (const k of CONSTANT.includes(kind) ? of.inputs(label) : []) {
-          const [low, high] = of.known.get(k) ?? [zeroQ, minusOne];
+        for (const k of kind === "constant" ? of.inputs(label) : []) {
+          const [low, high] = of.known.get(k) ?? [zeroQ, []];
           given.set(k, String(low) === String(high) ? first.residue(low) : first.random());
         }
       }
@@ -718,8 +640,11 @@ globalThis.checker = (() => {
       this.inverse = (x) => first.inverse(x);
       this.squares = [...strict].filter((term) => term.role === "dissipated" && term.rule === "square").flatMap((term) => term.vector);
       this.wanted = of.conclusions.filter((item) => item.vector !== null && of.vector(item.vector).length);
-      this.close();
-      this.sources = this.premises();
+      this.bounds = [];
+      this.sources = [];
+      this.loose = new Set(of.symbols.filter((item) => item.kind === "correction").flatMap((item) => of.inputs(item.label)));
+      this.premises();
+      while (this.bounds.map(([given, nodes]) => this.bounded(given) && !this.bounded(nodes) && this.grow(nodes)).some((x) => x));
       this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => of.vector(x.vector)), ...this.sources.map((x) => x[1])].flat().length;
       this.basis = units(this.count);
     }
@@ -735,76 +660,48 @@ globalThis.checker = (() => {
       const known = others.filter((x) => x !== NONE), values = known.length ? columns(known) : [];
       return columns(nodes).every((x) => values.includes(x));
     }
-    // Corrections of projections are bounded where their nominal rates are, which must not depend on one another.
-    bounded(nodes, within = []) {
+    bounded(nodes) {
       const weights = this.open.map(() => below(this.p, this.size)), u = this.columns.map((_, k) => this.dot(weights, this.open.map((x) => x[k])));
-      if (nodes.includes(NONE) || this.along(nodes, u).some((x) => x)) return false;
-      const { of } = this, own = within[within.length - 1];
-      return [...this.g.reads(nodes)].every((k) => {
-        if (of.symbols[k].kind !== "projection") return true;
-        const state = of.projections.find((item) => `${item.state}, correction` === of.symbols[k].label)?.state;
-        return state !== undefined && (state === own || (!within.includes(state) && this.bounded(of.next(state), [...within, state])));
-      });
+      return !nodes.includes(NONE) && !this.g.slice(nodes).some((k) => this.loose.has(k)) && !this.along(nodes, u).some((x) => x);
     }
     restrict(slopes) {
       const before = this.open.length;
       this.open = restricted(this.open, slopes, this.p, this.inverse);
       return this.open.length < before;
     }
-    close() {
-      const { g, of, columns } = this, waiting = [...of.linear], fixed = of.projections.flatMap((item) => of.inputs(item.state));
-      const signals = [...this.strict].filter((term) => term.role === "stored").map((term) => term.vector);
-      this.restrict(this.open.map((u) => u.filter((_, k) => fixed.includes(columns[k]))));
-      const free = [...columns.keys()].filter((k) => of.moves.has(g.a[columns[k]]) && !fixed.includes(columns[k]));
-      const rows = this.sample(free.map((k) => of.moves.get(g.a[columns[k]])[g.b[columns[k]]]), free.length + 3);
-      // combinations of states whose rate is identically zero
-      const steady = restricted(units(free.length), free.map((_, k) => rows.map((row) => row[k])), this.p, this.inverse);
-      this.restrict(this.open.map((u) => steady.map((x) => this.dot(x, free.map((k) => u[k])))));
-      for (;;) {
-        while (signals.map((nodes) => this.grow(nodes)).some((x) => x));
-        const found = waiting.find((item) => this.stable(item) && this.bounded(this.disturbance(item)));
-        if (!found) return;
-        waiting.splice(waiting.indexOf(found), 1);
-        this.linear.push(found);
-        signals.push(...found.vectors.map((k) => of.vector(k)));
-      }
-    }
     grow(nodes) {
+      if (this.loose.has(nodes[0])) return nodes.map((k) => this.loose.delete(k)).length > 0;
       const [one, other] = [0, 1].map((place) => this.open.map((u) => this.along(nodes, u, place)));
       return this.restrict(one.map((row) => row.filter((_, k) => one.every((x, i) => x[k] === other[i][k]))));
     }
-    // dz/dt - A z of a linear equation.
-    disturbance(item) {
-      const { g, of } = this, z = item.vectors.map((k) => of.vector(k));
-      need(item.rates.length === z.length, "size");
-      return z.flatMap((vector, i) => {
-        const row = item.rates[i].map((k) => of.vector(k));
-        need(row.length === z.length && [...z, ...row].every((x) => x.length === vector.length), "size");
-        return of.rates(vector).map((rate, k) => (rate === NONE ? NONE : row.reduce((x, factor, j) => g.sub(x, g.mul(factor[k], z[j][k])), rate)));
-      });
-    }
-    // True if dz/dt = A z is exponentially stable for each joint: one or two equations, over all intervals.
-    stable({ vectors, rates }) {
-      need(new Set([...vectors, ...rates.flat()].map((k) => this.of.vector(k).length)).size === 1, "size");
-      const { of, g, signs } = this, size = rates.length, two = size === 2 && rates.every((row) => row.length === 2);
-      if (!two && rates.flat().length !== 1) return false;
-      const [[a, b], [c, d] = []] = rates.map((row) => row.map((k) => of.vector(k)));
-      const nodes = two ? a.flatMap((x, k) => [g.neg(g.add(x, d[k])), g.sub(g.mul(x, d[k]), g.mul(b[k], c[k]))]) : a.map((x) => g.neg(x));
-      const found = signs.bounds(nodes, two ? new Map() : signs.boxes);
-      return found !== null && found.every((x) => positive(x[0]));
-    }
-    // Signals of which the vanishing implies that of others, these, and what this assumes.
+    // Where the first signals of `bounds` are bounded, the second are; where those of `sources` vanish, too.
     premises() {
-      const { g, of } = this, found = this.linear.map((item) => [this.disturbance(item), item.vectors.flatMap((k) => of.vector(k))]);
-      for (const { rule, vector: a, width } of of.terms) { // a / sqrt(1 + (a / v)^2) has the zeros of a
-        if (rule === "potential") found.push([a.map((x, k) => g.div(x, root(g, x, width[k]))), a]);
+      const { g, of, signs, bounds, sources, columns, strict, p } = this;
+      const boxed = new Set(of.terms.flatMap((x) => (x.rule === "projected" ? x.vector : [])));
+      const moving = columns.filter((k) => of.moves.has(g.a[k]) && !boxed.has(k)), rows = this.sample(moving.map((k) => of.next(k)), moving.length + 3);
+      // combinations of states whose rate is identically zero
+      const steady = restricted(units(moving.length), moving.map((_, k) => rows.map((row) => row[k])), p, this.inverse);
+      this.restrict(this.open.map((u) => steady.map((x) => this.dot(x, moving.map((k) => u[columns.indexOf(k)])))));
+      for (const term of of.terms) {
+        const { rule, role, vector: a, correction } = term;
+        if (rule === "projected") bounds.push([[], a], [nominal(of, a, correction), correction]);
+        if (role === "stored" && strict.has(term)) bounds.push([[], a]);
+        if (rule === "potential") sources.push([a.map((x, k) => g.div(x, root(g, x, term.scale[k]))), a]); // it has the zeros of a
+      }
+      for (const item of of.stable) { // W dz/dt = - L z + force
+        const [z, weight, loss] = ["vector", "weight", "loss"].map((name) => of.vector(item[name])), rate = of.rates(z), n = z.length;
+        if (signs.sign(weight, n) < 1 || signs.sign(loss, n) < 1 || !of.of(weight, ["constant"]) || rate.includes(NONE)) continue;
+        const metric = weight.length === n ? weight : symmetric(g, matrix(weight, n)).flat();
+        const force = g.plus(weighted(g, metric, rate), weighted(g, loss, z));
+        bounds.push([force, z]);
+        sources.push([force, z]);
       }
       for (const item of of.ranks) {
-        const flat = of.vector(item.matrix), R = matrix(flat, of.rows[item.matrix]), b = of.vector(item.vector), [values] = this.sample(flat, 1);
-        if (restricted(units(R.length), matrix(values, R.length), this.p, this.inverse).length) continue;
-        found.push([transposed(R).map((column) => g.dot(column, b)), b, `${item.name} keeps full row rank, uniformly`]);
+        const flat = of.vector(item.matrix), b = of.vector(item.vector), n = b.length, R = matrix(flat, n), [values] = this.sample(flat, 1);
+        need(flat.length % n === 0, "size");
+        if (restricted(units(n), matrix(values, n), p, this.inverse).length) continue;
+        sources.push([transposed(R).map((column) => g.dot(column, b)), b, `${item.name} keeps full row rank, uniformly`]);
       }
-      return found;
     }
     slopes(nodes) {
       const columns = transposed(this.sample(nodes, this.count));
@@ -825,9 +722,9 @@ globalThis.checker = (() => {
       const shown = [], { of } = this;
       for (;;) {
         const found = this.wanted.filter((x) => !shown.includes(x) && this.follows(x.says, of.vector(x.vector)));
+        const used = this.sources.filter(([premise, nodes]) => this.made(premise) && !this.made(nodes));
         for (const x of found) if (x.says === "goes to zero") this.vanish(of.vector(x.vector));
         shown.push(...found);
-        const used = this.sources.filter(([premise, nodes]) => this.made(premise) && !this.made(nodes));
         for (const [, nodes, text] of used) {
           this.vanish(nodes);
           if (text) this.signs.assumed.push(text);
@@ -842,34 +739,44 @@ globalThis.checker = (() => {
     }
   }
 
-  // What the lemma of update steps shows, whatever the rows are; eta is what the true parameters do not explain.
-  const fromSteps = ({ estimate: name, box }) => [
-    ...(box ? [`${name} is bounded`] : []),
-    `|${name} - true value|^2 in the metric gain^-1 does not rise where eta is zero`,
-    `h'(${name} - true value) / sqrt(n) is square-summable where eta / sqrt(n) is`,
-  ];
+  // What holds for any residual: all that is dissipated is in sum at most V at the start and the residual.
+  function* withResidual(of) {
+    const g = of.graph, clipped = (k) => {
+      if (g.name(k) !== "fmin") return false;
+      const inner = g.a[k];
+      return g.name(inner) === "fmax" && of.of([g.b[inner], g.b[k]], ["constant"]);
+    };
+    yield "V does not rise where the residual is zero";
+    for (const { name, role, rule } of of.terms) {
+      if (role === "dissipated" && rule === "square") yield `${name} is ${of.samples ? "summable" : "integrable"} where the residual is`;
+    }
+    for (const { label, size } of of.samples ? of.symbols : []) {
+      const next = of.moves.get(of.places.get(label));
+      if (size && next?.every(clipped)) yield `${label} is bounded`;
+    }
+  }
 
   function proved(data) {
     const of = new Certificate(data), signs = new Signs(of), [error, points] = identity(of), strict = signs.check();
     const named = (items) => items.map((item) => `${item.signal} ${item.says}`);
-    let shown = of.steps.flatMap(fromSteps);
-    if (!of.samples && !of.terms.some((term) => term.role === "residual")) {
-      const [once, again] = [0, 1].map(() => new Conclusions(of, signs, strict).check()); // with another prime
-      shown = named(once.filter((item) => again.includes(item)));
+    let shown = [];
+    if (of.samples || of.terms.some((term) => term.role === "residual")) shown = [...new Set(withResidual(of))];
+    else {
+      shown = named(new Conclusions(of, signs, strict).check());
     }
-    const labels = (kinds, more = () => true) => of.symbols.filter((item) => kinds.includes(item.kind) && more(item)).map((item) => item.label).join(", ");
-    const given = of.samples ? "" : labels(GIVEN), still = labels(CONSTANT);
+    const labels = (kind, more = () => true) => of.symbols.filter((item) => item.kind === kind && more(item)).map((item) => item.label).join(", ");
+    const given = of.samples ? "" : labels("given"), still = labels("constant");
     const exact = (item) => of.inputs(item.label).every((k) => of.known.has(k) && String(of.known.get(k)[0]) === String(of.known.get(k)[1]));
-    const some = of.samples ? "" : labels(CONSTANT, (item) => !exact(item));
-    const stated = [given && `bounded: ${given}`, still && `constant: ${still}`, some && `conclusions are for almost all values of: ${some}`];
+    const some = of.samples ? "" : labels("constant", (item) => !exact(item));
+    const stated = [still && `constant: ${still}`, given && `bounded: ${given}`, some && `conclusions are for almost all values of: ${some}`];
     return {
       status: "re-proved",
       statement: of.samples ? "V(next) - V" : "dV/dt",
       log2_error: Math.round(error),
       points,
-      robot: of.masses.map(({ joints, motion }) => {
-        const reads = motion && [...of.graph.reads(of.vector(motion.torque))].map((k) => of.symbols[k].label).sort().join(", ");
-        return `a chain of ${joints.length} rigid bodies` + (motion ? `, whose acceleration follows from a torque of ${reads}` : "");
+      robot: of.robots.map(({ joints, torque }) => {
+        const reads = [...of.graph.reads(of.vector(torque))].map((k) => of.symbols[k].label).sort().join(", ");
+        return `a chain of ${joints.length} rigid bodies, whose acceleration follows from a torque of ${reads}`;
       }),
       "only_at_exact_values_of": of.fixed.sort(),
       conclusions: shown,

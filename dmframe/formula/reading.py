@@ -231,8 +231,20 @@ class Evaluated:
         self._function = free
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
-        """Their numbers."""
-        return [value.full() for value in self._function.call(self._given(values))]
+        """Their numbers; NaN where CasADi cannot evaluate them, such as the inverse of a singular matrix."""
+        given = self._given(values)
+        try:
+            return [value.full() for value in self._function.call(given)]
+        except RuntimeError:
+            return [self._one(k, given) for k in range(self._function.n_out())]
+
+    def _one(self, place: int, given: Sequence[Any]) -> np.ndarray:
+        """The numbers of one expression."""
+        one = self._function.slice("one", list(range(self._function.n_in())), [place])
+        try:
+            return np.asarray(one.call(given)[0].full())
+        except RuntimeError:
+            return np.full(one.size_out(0), np.nan)
 
     def in_balls(self, values: Mapping[str, Any], place: int) -> np.ndarray | None:
         """The numbers of one expression by `dmframe.formula.points.in_balls`."""

@@ -16,7 +16,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.checker.check import Refuted, check
+from dmframe.checker.check import check
 from dmframe.common.errors import DmframeError, ValueFault
 from dmframe.common.seal import SEAL, faults
 from dmframe.config.resolved import robot_source
@@ -155,12 +155,11 @@ def _certificate(name: str, content: bytes, model: str) -> Link:
     """A certificate, checked by the independent checker; its model's hash is a text of the file."""
     try:
         data = json.loads(content)
-        own = str(data["about"]["model"])
-        check(data)
-    except Refuted as error:
-        return Link(name, "certificate", "", f"refuted by the checker: {error}")
+        own, found = str(data["about"]["model"]), check(data)
     except Exception as error:  # of data that are not a certificate
         return Link(name, "certificate", "", f"refused by the checker: {error}")
+    if found["status"] != "re-proved":
+        return Link(name, "certificate", "", f"{found['status']} by the checker: {found['reason']}")
     return Link(name, "certificate", own, "" if own == model else f"of another model: {own[:12]}")
 
 

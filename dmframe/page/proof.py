@@ -62,8 +62,8 @@ _WORD: Final = re.compile(r"[A-Za-z_$][\w$]*")
 _CODE: Final = re.compile(r"(\$\{[^}]*\})")
 _GIVEN: Final = frozenset(
     "const let class extends constructor return this new for of in if else while continue break throw try catch "
-    "typeof instanceof null true false undefined switch case function static globalThis crypto getRandomValues "
-    "Uint32Array Uint8Array Math min max abs log2 round sqrt floor BigInt Number String Array Object keys values "
+    "typeof instanceof null true false undefined switch case function yield static globalThis crypto getRandomValues "
+    "Uint32Array Uint8Array Math min max abs ceil log2 round sqrt floor BigInt Number String Array Object keys values "
     "entries assign hasOwn fromEntries Map Set Error get set has add delete map filter flatMap flat forEach reduce "
     "every some find includes indexOf join split slice push length fill sort reverse test toString name message "
     "isArray isSafeInteger from splice asUintN RegExp "

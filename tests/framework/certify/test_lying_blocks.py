@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from pathlib import Path
 from typing import Any, final
 
 import casadi as ca
@@ -16,6 +18,7 @@ from dmframe.block.linalg import inverting, solve_spd
 from dmframe.block.model import signals_of
 from dmframe.block.parameter import Positive, Real, Scalar
 from dmframe.block.port import TIME, Input, State
+from dmframe.catalogue import find_block
 from dmframe.certify import verify
 from dmframe.common.errors import BlockError
 from dmframe.diagram import Diagram
@@ -151,6 +154,37 @@ def test_a_block_that_ends_the_program_is_a_fault_with_its_line() -> None:
         Diagram.build({"toy": Stopping()})
 
 
+FILE = """
+import time
+from dmframe.block import AbstractBlock, Equations
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import State
+
+LOADED = time.perf_counter_ns()
+
+def made(default):
+    class Toy(AbstractBlock):
+        states = (State("y"),)
+        k: Scalar = Positive(default=2.0)
+        m: Scalar = Real(default=default)
+        def equations(self, u, x, p):
+            return Equations(rates={"y": -x.y * RATE})
+    return Toy
+
+Toy = made(DEFAULT)
+"""
+
+
+def test_a_file_that_reads_a_clock_where_it_is_loaded_is_refused(tmp_path: Path) -> None:
+    cases = {("p.k", "1.0"): "", ("LOADED", "1.0"): "another rate of y", ("p.k", "LOADED"): "another m"}
+    for place, ((rate, default), fault) in enumerate(cases.items()):
+        file = tmp_path / f"toy{place}.py"
+        file.write_text(FILE.replace("RATE", rate).replace("DEFAULT", default), encoding="utf-8")
+        kind = find_block(f"{file.name}:Toy", tmp_path)
+        with pytest.raises(BlockError, match=f"{fault} when (its )?.*loaded again") if fault else nullcontext():
+            Diagram.build({"toy": kind()})
+
+
 def test_unusual_numbers_and_operations_end_in_a_verdict() -> None:
     """A drift without an effect is proved, and not called stable; the other results name the reason."""
     cases: dict[str, tuple[Callable[[Any], Any], str, bool]] = {
@@ -167,6 +201,28 @@ def test_unusual_numbers_and_operations_end_in_a_verdict() -> None:
         verdict = verify(loop)
         assert (verdict.outcome == "proved") == proved, name
         assert not verdict.stable
+        assert reason in verdict.reason
+
+
+def test_a_rate_that_is_defined_nowhere_ends_in_a_verdict() -> None:
+    def divided(z: Any) -> Any:
+        return 1 / ((z + 1) ** 2 - z**2 - 2 * z - 1)
+
+    def inverted(z: Any) -> Any:
+        return ca.inv(ca.vertcat(ca.horzcat(z, z**2), ca.horzcat(1 + z - 1, z * z)))[0, 0]
+
+    cases: dict[str, Callable[[Any, Any], Mapping[str, Any]]] = {
+        "a denominator is zero everywhere": lambda y, z: {"y": -2 * y, "z": divided(z)},
+        "a denominator vanishes at all": lambda y, z: {"y": -2 * y + inverted(y) * 0.5 - inverted(y) / 2, "z": -z},
+    }
+    for reason, rates in cases.items():
+        loop = scalar_loop(
+            "y z",
+            lambda x, u, p, rates=rates: rates(x.y, x.z),
+            lambda x, u, p: Certificate((Square(x.y),), (Square(x.y, 2),)),
+        )
+        verdict = verify(loop)
+        assert verdict.outcome == "not_applicable"
         assert reason in verdict.reason
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from tests.framework.checker.certificates import certificate, replaced
-from tests.framework.checker.written import File, circular, concluded, constant, dominated, stable
+from tests.framework.checker.written import File, circular, concluded, constant, dominated, sampled, stable
 
 Attack = tuple[str, dict[str, Any], str]
 
@@ -31,29 +31,44 @@ def holes() -> Iterator[Attack]:
 
     yield "2 a dissipation whose matrix is not symmetric", dominated(off="0").data, "refuted"
     yield "3 a dissipation that does not dominate a cross term", dominated().data, "refuted"
-    yield "4 a mass matrix as a diagonal", _of("arm2_joint", _flattened), "refuted"
+    file = stable()
+    x = file.data["vectors"][0][0]
+    file.term("dissipated", file.vector(x, x, x, x), file.vector(*map(file.number, ("1", "-1", "-1", "1"))))
+    yield "4 a positive matrix as a diagonal", file.data, "refuted"
 
     def axis(data: dict[str, Any]) -> None:
-        data["masses"][0]["joints"][0]["axis"] = ["0", "0", "0"]
+        data["robots"][0]["joints"][0]["axis"] = constant(data, "0", "0", "0")
 
     def reflected(data: dict[str, Any]) -> None:
-        data["masses"][0]["joints"][1]["rotation"] = ["-1", "0", "0", "0", "1", "0", "0", "0", "1"]
+        joint = data["robots"][0]["joints"][1]
+        place = data["vectors"][joint["place"]]
+        joint["place"] = replaced(data, joint["place"])
+        data["vectors"][-1][3:] = place[3:]
 
-    yield "5 a joint without an axis", _of("arm2_joint", axis), "refused"
-    yield "5 a reflection", _of("arm2_joint", reflected), "refused"
+    yield "5 a joint without an axis", _of("arm2_joint", axis), "refuted"
+    yield "5 a reflection", _of("arm2_joint", reflected), "refuted"
 
-    data = stable().data
-    data["steps"] = certificate("ur10_slow_repetitive")["steps"]
-    yield "6 steps in continuous time", data, "refused"
+    file = File()
+    correction = file.symbol("correction", "correction")
+    for label in "ab":
+        state = file.symbol(label, "state")
+        file.data["rates"][label] = file.vector(correction)
+        file.term("stored", file.vector(state), file.vector(file.number("1")))
+        file.projected(state, correction, "-1", "1")
+    yield "6 a correction of two estimates", file.data, "refused"
 
     file = stable()
-    noise = file.symbol("noise", "noise")
+    file.projected(file.instruction("add", 0, 0), file.symbol("x, correction", "correction"), "-1", "1")
+    yield "6 a projection of values in continuous time", file.data, "refused"
+
+    file = stable()
+    noise = file.symbol("noise", "given")
     data = file.data
     file.term("stored", file.vector(noise), data["terms"][0]["parts"]["weight"])
     yield "7 V of a noise without a rate", data, "refused"
 
     def ball(data: dict[str, Any]) -> None:
-        data["projections"][0]["set"] = "ball"
+        next(term for term in data["terms"] if term["rule"] == "projected")["rule"] = "ball"
 
     yield "8 a projection onto an unknown set", _of("arm2_joint", ball), "refused"
 
@@ -73,13 +88,12 @@ def holes() -> Iterator[Attack]:
     yield "10 a matrix of full rank that is zero", file.data, "w"
 
     def resting(data: dict[str, Any]) -> None:
-        names, zero = ("velocity", "acceleration", "torque"), constant(data, "0", "0")
-        data["masses"][0]["motion"] = dict.fromkeys(names, zero) | {"gravity": constant(data, "0", "0", "0")}
+        data["robots"][0]["torque"] = constant(data, "0", "0")
 
     yield "11 a robot at rest", _of("arm2_joint", resting), "refuted"
 
     file = stable()
-    K = file.symbol("K", "parameter", numbers=[["60", "60"]])
+    K = file.symbol("K", "constant", numbers=[["60", "60"]])
     pole = file.instruction("div", file.number("1"), file.instruction("sub", K, file.number("60")))
     concluded(file.data, file.vector(pole))
     yield "13 a divisor that vanishes at the file's numbers", file.data, "refused"
@@ -92,47 +106,61 @@ def holes() -> Iterator[Attack]:
     yield "14 a number of 2^60 digits", file.data, "open"
 
     data = circular(nominal="a")
-    for item in data["projections"]:
-        item["lower"], item["upper"] = item["upper"], item["lower"]
+    for term in data["terms"]:
+        parts = term["parts"]
+        if "lower" in parts:
+            parts["lower"], parts["upper"] = parts["upper"], parts["lower"]
     yield "15 a box whose ends are exchanged", data, "refuted"
 
-    for what, change in {
-        "no rows": {"rows": -1},
-        "a truth value as rows": {"rows": True},
-        "half a row": {"rows": 1.5},
-        "sizes as texts": {"sizes": ["1"]},
-        "a size of zero": {"sizes": [0]},
-    }.items():
-        data = certificate("ur10_slow_repetitive")
-        data["steps"][0].update(change)
-        yield f"16 {what}", data, "refused"
-
+    yield from _over_samples()
     yield "17 corrections that depend on one another", circular(nominal="b, correction"), "w"
     data = dominated().data
     data["terms"][1]["role"] = "cross"
     yield "18 a cross term", data, "refused"
 
 
-def _flattened(data: dict[str, Any]) -> None:
-    """V = sum of M_ij x_ij^2 with a robot at rest: it is constant, and not positive."""
-    mass = next(x for x in data["masses"])
-    mass["motion"] = None
-    symbol = next(k for k, x in enumerate(data["symbols"]) if x["label"] == "dynamics.a_d_hat")
-    program, places = data["program"], []
-    for element in range(len(data["vectors"][mass["weight"]][1])):
-        program["code"].append(program["operations"].index("input"))
-        program["a"].append(symbol)
-        program["b"].append(element)
-        places.append(len(program["code"]) - 1)
-    data["vectors"].append([len(places), places])
-    parts = {"vector": len(data["vectors"]) - 1, "weight": mass["weight"]}
-    none = dict.fromkeys(("assumed", "phi"))
-    data["terms"] = [{"name": "flat", "role": "stored", "rule": "square", "parts": parts, **none}]
-    for label, vector in data["rates"].items():
-        rows, elements = data["vectors"][vector]
-        data["vectors"].append([rows, [-1] * len(elements)])
-        data["rates"][label] = len(data["vectors"]) - 1
-    data |= {key: [] for key in ("projections", "linear", "ranks", "conditions", "conclusions")}
+def _over_samples() -> Iterator[Attack]:
+    """Faults of a file that proves the step of an estimate and its projection."""
+    for part, value, allowed in (
+        ("correction", "0", "refuted"),
+        ("true", "1", "refuted"),
+        ("upper", "2", "refuted"),
+        ("lower", "-2", "refuted"),
+        ("weight", "2", "refuted"),
+        ("weight", "-1", "refuted"),
+    ):
+        file = sampled()
+        term = next(term for term in file.data["terms"] if term["rule"] == "projected")
+        term["parts"][part] = file.vector(file.number(value))
+        yield f"16 a projection over samples with another {part}", file.data, allowed
+    file = sampled(true="2")
+    yield "16 a projection onto a box without the true value", file.data, "refuted"
+    file = sampled()
+    theta = file.data["vectors"][0][0]
+    file.data["rates"]["theta"] = file.vector(file.instruction("mul", theta, file.number("2")))
+    yield "16 another next value", file.data, "refuted"
+    file = sampled()
+    file.term("stored", file.vector(file.symbol("t", "time")), file.vector(file.number("1")))
+    yield "16 V of the time over samples", file.data, "refused"
+    for key in ("stable", "ranks"):
+        data = sampled().data
+        data[key] = [{"vector": 0, **({"weight": 1, "loss": 1} if key == "stable" else {"name": "R", "matrix": 1})}]
+        yield f"16 {key} over samples", data, "refused"
+    data = sampled().data
+    data["over"] = "flow"
+    yield "16 steps in continuous time", data, "refused"
+    data = sampled().data
+    data["terms"][0]["rule"] = "potential"
+    data["terms"][0]["parts"]["scale"] = data["terms"][0]["parts"]["weight"]
+    yield "16 a potential over samples", data, "refused"
+    data = sampled().data
+    data["rates"]["y"] = data["rates"]["theta"]
+    yield "16 the next value of a given signal", data, "refused"
+    file = sampled()
+    w = file.symbol("w", "state")
+    file.data["rates"]["w"] = file.vector(file.instruction("fmin", file.instruction("fmax", w, w), w))
+    concluded(file.data, file.vector(w), "is bounded")
+    yield "16 a state that is clipped to itself", file.data, "w"
 
 
 def more() -> Iterator[Attack]:
@@ -161,22 +189,22 @@ def more() -> Iterator[Attack]:
     yield "an unstable state with a residual", file.data, "w"
 
     file = stable()
-    x = file.data["vectors"][file.data["terms"][0]["parts"]["vector"]][1][0]
+    x = file.data["vectors"][file.data["terms"][0]["parts"]["vector"]][0]
     zero = file.instruction("sub", x, x)
     file.condition(file.vector(file.instruction("div", x, zero)))
     yield "a divisor that is identically zero", file.data, "refused"
 
     for name in ("mul", "sub"):
         file = stable()
-        x = file.data["vectors"][file.data["rates"]["x"]][1][0]
+        x = file.data["vectors"][file.data["rates"]["x"]][0]
         pole = file.instruction("div", x, file.instruction("sub", x, x))
         nothing = file.instruction(name, file.number("0") if name == "mul" else pole, pole)
         file.data["rates"]["x"] = file.vector(file.instruction("add", x, nothing))
         yield f"a pole that {name} removes", file.data, "refused"
 
     file = stable()
-    K = file.symbol("K", "parameter", numbers=[["60", "60"]])
-    x = file.data["vectors"][file.data["rates"]["x"]][1][0]
+    K = file.symbol("K", "constant", numbers=[["60", "60"]])
+    x = file.data["vectors"][file.data["rates"]["x"]][0]
     pole = file.instruction("div", x, file.instruction("sub", K, file.number("60")))
     file.data["rates"]["y"] = file.vector(pole)
     file.symbol("y", "state")
@@ -188,13 +216,11 @@ def more() -> Iterator[Attack]:
         yield f"a conclusion that says {value!r}", data, "refused"
 
     file = File()
-    a, correction = file.symbol("a", "state"), file.symbol("a, correction", "projection")
+    a, correction = file.symbol("a", "state"), file.symbol("a, correction", "correction")
     file.data["rates"]["a"] = file.vector(correction)
-    own = {"state": "a", "set": "box", "true": file.vector(file.number("0"))}
-    for k, low in enumerate(("-3", "-9")):
+    for low in ("-3", "-9"):
         file.term("stored", file.vector(a), file.vector(file.number("1")))
-        ends = {"lower": file.vector(file.number(low)), "upper": file.vector(file.number("9"))}
-        file.data["projections"].append({**own, **ends, "term": k})
+        file.projected(a, correction, low, "9")
     yield "two boxes of one estimate", file.data, "refused"
 
     file = stable()
@@ -202,18 +228,18 @@ def more() -> Iterator[Attack]:
     yield "a conclusion about an empty vector", file.data, "w"
 
     file = stable()
-    free = file.symbol("free", "parameter")
+    free = file.symbol("free", "constant")
     file.condition(file.vector(free))
     yield "a condition on a parameter without numbers", file.data, "open"
 
     file = stable()
-    file.symbol("K", "parameter", numbers=[["2", "1"]])
+    file.symbol("K", "constant", numbers=[["2", "1"]])
     yield "an interval with its ends exchanged", file.data, "refused"
 
     file = stable()
     y = file.vector(file.symbol("y", "state"))
-    file.data["rates"]["y"] = file.vector(file.number("1"))
-    file.data["linear"] = [{"vectors": [y], "rates": [[file.vector(file.number("1"))]]}]
+    one = file.data["rates"]["y"] = file.vector(file.number("1"))
+    file.data["stable"] = [{"vector": y, "weight": one, "loss": file.vector(file.number("-1"))}]
     concluded(file.data, y, "is bounded")
     yield "an unstable linear equation", file.data, "w"
 
@@ -225,18 +251,23 @@ def more() -> Iterator[Attack]:
 
     file = stable()
     file.symbol("y", "state")
-    correction = file.symbol("y, correction", "projection")
+    correction = file.symbol("y, correction", "correction")
     file.data["rates"]["y"] = file.vector(correction)
     concluded(file.data, file.data["rates"]["y"], "is bounded")
     yield "a correction without a projection", file.data, "w"
 
     def shorter(data: dict[str, Any]) -> None:
-        data["masses"][0]["joints"].pop()
+        data["robots"][0]["joints"].pop()
 
     def crossed(data: dict[str, Any]) -> None:
-        term = next(term for term in data["terms"] if term["rule"] == "monotone")
+        term = next(term for term in data["terms"] if term["rule"] == "tanh")
         term["parts"]["weight"] = constant(data, "1", "0", "4", "1")
 
+    def wider(data: dict[str, Any]) -> None:
+        term = next(term for term in data["terms"] if term["rule"] == "tanh")
+        term["parts"]["scale"] = constant(data, "1/200", "1/200", "1")
+
+    yield "a scale with more elements than its vector", _of("arm2_joint", wider), "refused"
     yield "a chain with fewer joints than positions", _of("arm2_joint", shorter), "refused"
     yield "a matrix as the weight of a monotone term", _of("arm2_joint", crossed), "refused"
 
@@ -282,11 +313,11 @@ def more() -> Iterator[Attack]:
     file.symbol("x", "state")
     yield "two symbols of one label", file.data, "refused"
 
-    for key in ("version", "terms", "rates", "steps", "assumed"):
+    for key in ("version", "terms", "rates", "stable", "assumed"):
         data = stable().data
         del data[key]
         yield f"no {key}", data, "refused"
-    for version in (1, 2, "3", 3.5, True, None):
+    for version in (1, 2, 3, "4", 4.5, True, None):
         data = stable().data
         data["version"] = version
         yield f"version {version!r}", data, "refused"
@@ -295,10 +326,11 @@ def more() -> Iterator[Attack]:
     yield "a further key", data, "refused"
 
     def twice(data: dict[str, Any]) -> None:
-        data["projections"].append(data["projections"][0])
+        data["terms"].append(next(term for term in data["terms"] if term["rule"] == "projected"))
 
     def other(data: dict[str, Any]) -> None:
-        data["projections"][0]["state"] = data["projections"][1]["state"]
+        one, two, *_ = (term["parts"] for term in data["terms"] if term["rule"] == "projected")
+        one["correction"] = two["correction"]
 
     def following(data: dict[str, Any]) -> None:
         data["rates"]["path.q_d"] = data["rates"]["arm.q"]
@@ -307,7 +339,7 @@ def more() -> Iterator[Attack]:
         item = next(x for x in data["conditions"] if x["margin"] is not None and x["strict"])
         item["margin"] = replaced(data, item["margin"])
 
-    yield "a projection that is counted twice", _of("arm2_joint", twice), "refuted"
+    yield "a projection that is counted twice", _of("arm2_joint", twice), "refused refuted"
     yield "the correction of another estimate", _of("arm2_joint", other), "refused refuted"
     yield "a trajectory that follows the robot", _of("pendulum", following), "refused"
     yield "a condition of the other sign", _of("arm2_joint", negative), "refuted"

@@ -37,7 +37,7 @@ NAMES: Final = (
     "theorem_1",
     "ur10_fast",
 )
-KINDS: Final = ("parameter", "constant", "state", "trajectory", "projection", "time", "command", "noise")
+KINDS: Final = ("constant", "given", "state", "correction", "time", "parameter")
 FUNCTIONS: Final[dict[str, Any]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
@@ -83,7 +83,7 @@ def changed(value: Any, path: Path_, data: dict[str, Any], rng: random.Random) -
         choices = {
             "kind": KINDS,
             "role": ("stored", "dissipated", "residual"),
-            "rule": ("square", "monotone", "potential", "normalised", "least_squares"),
+            "rule": ("square", "tanh", "atan", "potential", "projected", "ball"),
             "says": ("is bounded", "goes to zero", "is square-integrable"),
             "over": ("flow", "sample"),
         }
@@ -91,7 +91,7 @@ def changed(value: Any, path: Path_, data: dict[str, Any], rng: random.Random) -
             return rng.choice(choices[key])
         if "operations" in path:
             return rng.choice(list(FUNCTIONS))
-        if key in ("state", "estimate"):
+        if key == "position":
             return rng.choice([item["label"] for item in data["symbols"]])
         try:
             number = Fraction(value)
@@ -134,25 +134,25 @@ class Numbers:
                 values.append(constants[a] if name == "const" else own[a][b])
             else:
                 values.append(FUNCTIONS[name](values[a], values[b]))
-        self.vectors = [[values[k] if k >= 0 else 0.0 for k in places] for _, places in data["vectors"]]
+        self.vectors = [[values[k] if k >= 0 else 0.0 for k in places] for places in data["vectors"]]
+        self.samples = data["over"] == "sample"
 
     def term(self, term: dict[str, Any]) -> float:
         """T of a term, written again."""
         part = {key: self.vectors[k] for key, k in term["parts"].items()}
-        w, a = part["weight"], part.get("vector", part.get("first", []))
+        w, a = part["weight"], part["vector"]
         n = len(a)
-
-        def wide(x: list[float]) -> list[float]:
-            return x * n if len(x) == 1 else x
-
         if term["rule"] == "square" and len(w) == n * n and n > 1:
             return sum(a[i] * w[i + n * k] * a[k] for i in range(n) for k in range(n))
         if term["rule"] == "square":
-            return sum(x * y * y for x, y in zip(wide(w), a, strict=True))
+            return sum(x * y * y for x, y in zip(w, a, strict=True))
+        if term["rule"] == "projected":
+            rows = zip(w, a, part["correction"], part["true"], strict=True)
+            return sum(-x * (y + c * self.samples - true) * c for x, y, c, true in rows)
         if term["rule"] == "potential":
-            pairs = zip(wide(w), a, wide(part["width"]), strict=True)
+            pairs = zip(w, a, part["scale"], strict=True)
             return sum(2 * x * v * v * (math.sqrt(1 + (y / v) ** 2) - 1) for x, y, v in pairs)
-        phi, rows = FUNCTIONS[term["phi"]], zip(wide(w), a, part["second"], wide(part["scale"]), strict=True)
+        phi, rows = FUNCTIONS[term["rule"]], zip(w, a, part["other"], part["scale"], strict=True)
         return sum(x * (y - z) * (phi(y / v, 0) - phi(z / v, 0)) for x, y, z, v in rows)
 
 
@@ -164,7 +164,7 @@ def point(data: dict[str, Any], rng: random.Random) -> dict[str, list[float]]:
         if item["numbers"] is not None:
             ends = [(float(Fraction(low)), float(Fraction(high))) for low, high in item["numbers"]]
             own = [low * (1 - (s := rng.random())) + high * s for low, high in ends]
-        elif item["kind"] == "projection":
+        elif item["kind"] == "correction":
             own = [0.0] * item["size"]
         found[item["label"]] = own
     return found
@@ -177,10 +177,9 @@ def stated(data: dict[str, Any], symbols: dict[str, list[float]]) -> list[float]
         found += [at.term(term), float(hash(term["role"])), float(bool(term["assumed"]))]
     for label, k in sorted(data["rates"].items()):
         found += [float(hash(label)), *at.vectors[k]]
-    for key in ("projections", "masses", "linear", "ranks", "steps", "conditions", "conclusions"):
+    for key in ("robots", "stable", "ranks", "conditions", "conclusions"):
         for path, value in leaves(data.get(key, [])):
-            named = type(value) is int and path[-1:] not in (("term",), ("rows",)) and "sizes" not in path
-            found += at.vectors[value] if named else [float(hash(str((path, value))))]
+            found += at.vectors[value] if type(value) is int else [float(hash(str((path, value))))]
     return found
 
 
@@ -229,15 +228,14 @@ def _fault(data: dict[str, Any], found: dict[str, Any], symbols: dict[str, list[
         decided = item["margin"] is not None and f"condition: {item['name']}" not in found["assumed"]
         if decided and min(at.vectors[item["margin"]]) < 0:
             return f"condition {item['name']}"
-    for item in data.get("projections", []):
-        low, true, high = (at.vectors[item[key]] for key in ("lower", "true", "upper"))
-        size = len(symbols[item["state"]])
-        low, true, high = (x * size if len(x) == 1 else x for x in (low, true, high))
-        known = f"{item['state']}: its true value is inside the box" not in found["assumed"]
-        for a, x, b in zip(low, true, high, strict=True):
-            if a > b or (known and not a - 1e-12 <= x <= b + 1e-12):
-                return f"the box of {item['state']}"
-    return _decrease(data, symbols, at) if data["over"] == "flow" else _steps(data, symbols, at)
+    for item in data["terms"]:
+        if item["rule"] == "projected":
+            low, true, high = (at.vectors[item["parts"][key]] for key in ("lower", "true", "upper"))
+            known = f"{item['name']}: its true value is inside its box" not in found["assumed"]
+            for a, x, b in zip(low, true, high, strict=True):
+                if a > b or (known and not a - 1e-12 <= x <= b + 1e-12):
+                    return f"the box of {item['name']}"
+    return _decrease(data, symbols, at) if data["over"] == "flow" else _change(data, symbols, at)
 
 
 def _moved(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers, h: float) -> dict[str, list[float]]:
@@ -269,29 +267,21 @@ def _decrease(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers
     return "V increases" if rate > gained + 1e-3 * (size + abs(rate)) + 1e-6 else ""
 
 
-def _steps(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers) -> str:
-    """The next values of estimates are those of normalised steps, so that the error's norm obeys the lemma."""
-    for item in data["steps"]:
-        part = {key: at.vectors[k] for key, k in item["parts"].items()}
-        theta, after, end = list(symbols[item["estimate"]]), list[float](), 0
-        for j, n in enumerate(item["sizes"]):
-            own, end = slice(end, end + n), end + n
-            now = theta[own]
-            for k in range(item["rows"]):
-                h, gain = part[f"h{k}"][own], part["gain"][own]
-                e = part[f"y{k}"][j] - sum(a * b for a, b in zip(h, now, strict=True))
-                n_ = part["floor"][0] + sum(g * a * a for g, a in zip(gain, h, strict=True))
-                if min(*gain, part["floor"][0]) <= 0:
-                    return "a gain that is not positive"
-                now = [x + g * a * e / n_ for x, g, a in zip(now, gain, h, strict=True)]
-                if item["box"]:
-                    ends = zip(now, part["lower"][own], part["upper"][own], strict=True)
-                    now = [min(max(x, low), high) for x, low, high in ends]
-            after += now
-        stated_ = at.vectors[data["rates"][item["estimate"]]]
-        if not all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(after, stated_, strict=True)):
-            return f"the next value of {item['estimate']}"
-    return ""
+def _change(data: dict[str, Any], symbols: dict[str, list[float]], at: Numbers) -> str:
+    """V(next) - V is minus what is dissipated, plus the residual, and projections are those onto their boxes."""
+    after = Numbers(data, symbols | {label: at.vectors[k] for label, k in data["rates"].items()})
+    total, size = 0.0, 0.0
+    for item in data["terms"]:
+        value = at.term(item)
+        stored = item["role"] == "stored"
+        total += (after.term(item) - value) / 2 if stored else value if item["role"] == "dissipated" else -value
+        size += abs(value)
+        if item["rule"] == "projected":
+            part = {key: at.vectors[k] for key, k in item["parts"].items()}
+            rows = zip(part["vector"], part["correction"], part["lower"], part["upper"], strict=True)
+            if not all(math.isclose(z + c, min(max(z, a), b), rel_tol=1e-6, abs_tol=1e-9) for z, c, a, b in rows):
+                return f"the projection of {item['name']}"
+    return "" if abs(total) <= 1e-6 * size + 1e-9 else f"V(next) - V differs by {total}"
 
 
 @cache

@@ -32,7 +32,7 @@ def _words() -> Iterator[Attack]:
         file.data["assumed"] = [name]
         yield f"an assumption {name!a}", file.data, "refused"
         file = stable()
-        file.symbol(name, "parameter")
+        file.symbol(name, "constant")
         yield f"a label {name!a}", file.data, "refused"
         file = File()
         x = file.vector(file.states(x="-1 x")["x"])
@@ -52,7 +52,7 @@ def _words() -> Iterator[Attack]:
     data["conclusions"].append({"signal": "w", "says": "never leaves the workspace", "vector": None})
     yield "a conclusion of an unknown kind", data, "w"
     file = stable()
-    x = file.vector(file.data["vectors"][0][1][0])
+    x = file.vector(file.data["vectors"][0][0])
     file.term("residual", x, file.vector(-1))
     concluded(file.data, x)
     yield "a conclusion next to a residual", file.data, "w"
@@ -61,7 +61,7 @@ def _words() -> Iterator[Attack]:
 def _functions() -> Iterator[Attack]:
     file = stable()
     file.names.append("log")
-    x = file.data["vectors"][0][1][0]
+    x = file.data["vectors"][0][0]
     concluded(file.data, file.vector(file.instruction("log", x)), "is bounded")
     yield "the logarithm of what goes to zero is bounded", file.data, "assumes arguments of logarithms stay away"
 
@@ -72,7 +72,7 @@ def _functions() -> Iterator[Attack]:
 
     for name in ("fmin", "floor", "if_else_zero"):
         file = stable()
-        file.names.append(name)
+        file.names += [name] * (name not in file.names)
         y = file.symbol("y", "state")
         file.data["rates"]["y"] = file.vector(file.number("1"))
         concluded(file.data, file.vector(file.instruction(name, y, y)), "is bounded")
@@ -81,7 +81,7 @@ def _functions() -> Iterator[Attack]:
     file = stable()
     t = file.symbol("t", "time")
     wave = file.instruction("sin", file.instruction("mul", t, t))
-    x = file.data["vectors"][file.data["rates"]["x"]][1][0]
+    x = file.data["vectors"][file.data["rates"]["x"]][0]
     file.data["rates"]["x"] = file.vector(file.instruction("mul", x, wave))
     yield "a rate that changes its sign", file.data, "refuted"
 
@@ -96,7 +96,7 @@ def _functions() -> Iterator[Attack]:
 def _constants() -> Iterator[Attack]:
     """What the file calls constant, or given, is listed."""
     file = File()
-    x, y = file.states(x="-1 x")["x"], file.symbol("y", "parameter", numbers=[["1", "1"]])
+    x, y = file.states(x="-1 x")["x"], file.symbol("y", "constant", numbers=[["1", "1"]])
     one = file.vector(file.number("1"))
     file.term("stored", file.vector(x), one)
     file.term("dissipated", file.vector(x), one)
@@ -104,19 +104,19 @@ def _constants() -> Iterator[Attack]:
     yield "a state that is called a parameter", file.data, "assumes constant: y"
 
     file = stable()
-    r = file.symbol("r", "trajectory")
-    file.data["rates"]["r"] = file.vector(file.data["vectors"][0][1][0])
+    r = file.symbol("r", "given")
+    file.data["rates"]["r"] = file.vector(file.data["vectors"][0][0])
     concluded(file.data, file.vector(r), "is bounded")
     yield "a trajectory that a state moves", file.data, "refused"
 
     file = stable()
     file.data["rates"]["n"] = 0
-    file.symbol("n", "noise")
-    yield "a noise with a rate", file.data, "refused"
+    file.symbol("n", "constant")
+    yield "a constant with a rate", file.data, "refused"
 
     file = File()
     places = file.states(x="-1 x")
-    K, one = file.symbol("K", "parameter", numbers=[["0", "2"]]), file.vector(file.number("1"))
+    K, one = file.symbol("K", "constant", numbers=[["0", "2"]]), file.vector(file.number("1"))
     scaled = file.vector(file.instruction("mul", K, places["x"]))
     file.term("stored", scaled, one)
     file.term("dissipated", scaled, one)
@@ -125,7 +125,7 @@ def _constants() -> Iterator[Attack]:
 
     for ends, allowed in ((["0", "2"], "w"), (["-1/9", "2"], "refuted"), ([f"-1/{'9' * 3900}", "2"], "refuted")):
         file = File()
-        x, W = file.states(x="-1 x")["x"], file.symbol("W", "parameter", numbers=[ends])
+        x, W = file.states(x="-1 x")["x"], file.symbol("W", "constant", numbers=[ends])
         rest = file.instruction("sub", file.number("1"), W)
         file.data["rates"]["x"] = file.vector(
             file.instruction("mul", file.instruction("sub", rest, file.number("1")), x)
@@ -139,68 +139,60 @@ def _constants() -> Iterator[Attack]:
 def _bodies() -> Iterator[Attack]:
     """A chain must consist of bodies, and a weight that is not decided must be its mass matrix."""
     data = certificate("arm2_joint")
-    mass = data["masses"][0]
-    motion = {**mass["motion"], "torque": replaced(data, mass["motion"]["torque"])}
-    own = {key: replaced(data, mass[key]) for key in ("weight", "inertia")}
-    rotors = mass["rotors"] if mass["rotors"] is None else replaced(data, mass["rotors"])
-    data["masses"].append({**mass, **own, "rotors": rotors, "motion": motion})
+    robot = data["robots"][0]
+    joints = [{**joint, "body": replaced(data, joint["body"])} for joint in robot["joints"]]
+    own = {key: replaced(data, robot[key]) for key in ("rotors", "torque")}
+    data["robots"].append({**robot, "joints": joints, **own})
     yield "a chain of negative bodies that no term uses", data, "refuted"
 
-    for kind in ("state", "trajectory", "noise", "parameter"):
+    for kind in ("state", "given", "constant"):
         file = File()
         x, m = file.states(x="-1 x")["x"], file.symbol("m", kind)
-        if kind in ("state", "trajectory"):
+        if kind != "constant":
             file.data["rates"]["m"] = file.vector(-1)
-        weight, zero = file.vector(m), file.vector(-1)
+        weight = file.vector(m)
         for role in ("stored", "dissipated"):
             file.term(role, file.vector(x), weight)
-        joint = {"kind": "prismatic", "axis": ["0", "0", "1"], "rotation": list("100010001")}
-        bodies = file.vector(m, *[-1] * 9)
-        own = {"translations": file.vector(-1, -1, -1), "inertia": bodies, "rotors": None, "motion": None}
-        file.data["masses"] = [{"weight": weight, "position": zero, **own, "joints": [joint]}]
         concluded(file.data, file.vector(x))
-        yield f"a body whose mass is a {kind}", file.data, "refuted refused"
+        yield f"the energy of a body whose mass is a {kind}", file.data, "refuted"
 
-    yield "a chain whose length grows with the time", _growing().data, "refuted"
+    for kind in ("revolute", "prismatic"):
+        yield f"a {kind} joint whose arm grows with the time", _growing(kind).data, "w"
 
     file = stable()
-    none = dict.fromkeys(("weight", "position", "translations", "inertia"), file.vector())
-    file.data["masses"] = [{**none, "rotors": None, "motion": None, "joints": []}]
+    file.symbol("q", "state", size=0)
+    file.data["rates"]["q"] = none = file.vector()
+    file.data["robots"] = [{"position": "q", "joints": [], "rotors": none, "gravity": none, "torque": none}]
     yield "a chain without bodies", file.data, "refused"
 
     file = stable()
-    x, v, m = file.symbol("q", "state"), file.symbol("v", "state"), file.symbol("m", "parameter", numbers=[["1", "1"]])
-    inertia = file.symbol("I", "parameter", numbers=[["1", "1"]])
+    x, v, m = file.symbol("q", "state"), file.symbol("v", "state"), file.symbol("m", "constant", numbers=[["1", "1"]])
     a = file.instruction("add", x, v)
     file.data["rates"] |= {"q": file.vector(v), "v": file.vector(a)}
-    bodies = file.vector(m, -1, -1, -1, inertia, -1, inertia, -1, -1, inertia)
-    motion = {"velocity": file.vector(v), "acceleration": file.vector(a), "gravity": file.vector(-1, -1, -1)}
-    motion["torque"] = file.vector(file.instruction("mul", m, a))
-    own = {"translations": file.vector(-1, -1, -1), "inertia": bodies, "rotors": None, "motion": motion}
-    joint = {"kind": "prismatic", "axis": ["0", "0", "1"], "rotation": list("100010001")}
-    file.data["masses"] = [{"weight": file.vector(m), "position": file.vector(x), **own, "joints": [joint]}]
+    one = file.number("1")
+    body = file.vector(one, -1, one, -1, -1, one, -1, -1, -1, m)
+    place = file.vector(one, -1, -1, -1, one, -1, -1, -1, one, -1, -1, x)
+    joint = {"kind": "prismatic", "axis": file.vector(-1, -1, one), "place": place, "body": body}
+    own = {"rotors": file.vector(-1), "gravity": file.vector(-1, -1, -1)}
+    torque = file.vector(file.instruction("mul", m, a))
+    file.data["robots"] = [{"position": "q", "joints": [joint], **own, "torque": torque}]
     yield "a torque that is what the acceleration needs", file.data, "robot a torque of m, q, v"
 
 
-def _growing() -> File:
-    """V = |(a, b)|^2 in the mass matrix of a slide at the end of an arm of the length L, with L and b unbounded.
+def _growing(kind: str) -> File:
+    """V = (a^2 + s^2 + (L a + b)^2) / 2, an energy with an arm of the length L, which grows: V is constant, b is not.
 
-    2 V = 2 a^2 + (L a + b)^2 is constant with da/dt = 0, db/dt = -a, dL/dt = 1.
+    a is the speed of a revolute joint, and b that of a slide across its arm. For a prismatic joint, L has the speed s.
     """
     file = File()
-    a, b, L = (file.symbol(label, "state") for label in "abL")
+    a, b, L, s = (file.symbol(label, "state") for label in ("a", "b", "L", "s"))
     one, zero = file.number("1"), file.number("0")
-    rates = {"a": -1, "b": file.instruction("sub", zero, a), "L": one}
+    speed = s if kind == "prismatic" else one
+    lost = file.instruction("sub", zero, file.instruction("mul", speed, a))
+    rates = {"a": -1, "b": lost, "L": speed, "s": -1}
     file.data["rates"] = {label: file.vector(place) for label, place in rates.items()}
-    first = file.instruction("add", file.number("2"), file.instruction("mul", L, L))
-    weight = file.vector(first, L, L, one)
-    file.term("stored", file.vector(a, b), weight)
-    body = [one, -1, -1, -1, one, -1, one, -1, -1, one]  # of mass 1, with the inertia 1 about each axis
-    own = {"inertia": file.vector(*body, *body), "rotors": None, "motion": None}
-    arm = {"kind": "revolute", "axis": ["0", "0", "1"], "rotation": list("100010001")}
-    slide = {"kind": "prismatic", "axis": ["0", "1", "0"], "rotation": list("100010001")}
-    own |= {"translations": file.vector(-1, -1, -1, L, -1, -1), "joints": [arm, slide]}
-    file.data["masses"] = [{"weight": weight, "position": file.vector(-1, -1), **own}]
+    across = file.instruction("add", file.instruction("mul", L, a), b)
+    file.term("stored", file.vector(a, s, across), file.vector(one, one, one))
     concluded(file.data, file.vector(b), "is bounded")
     return file
 
@@ -208,30 +200,45 @@ def _growing() -> File:
 def _linear() -> Iterator[Attack]:
     file = stable()
     places = file.states(y="-1 y +2 z", z="+2 y -1 z")
-    y, z, rate = file.vector(places["y"]), file.vector(places["z"]), file.vector(file.number("-1"))
-    file.data["linear"] = [{"vectors": [own], "rates": [[rate]]} for own in (y, z)]
+    y, z, one = file.vector(places["y"]), file.vector(places["z"]), file.vector(file.number("1"))
+    file.data["stable"] = [{"vector": own, "weight": one, "loss": one} for own in (y, z)]
     concluded(file.data, y, "is bounded")
     yield "two linear equations that drive each other", file.data, "w"
 
-    for vectors, rates in (([], []), ([y], []), ([y], [[]]), ([y], [[rate, rate]]), ([y, z], [[rate], [rate]])):
-        file = stable()
-        places = file.states(y="-1 y +2 z", z="+2 y -1 z")
-        file.vector(places["y"]), file.vector(places["z"]), file.vector(file.number("-1"))
-        file.data["linear"] = [{"vectors": vectors, "rates": rates}]
-        concluded(file.data, y, "is bounded")
-        yield f"a linear equation with {len(vectors)} vectors and the rates {rates}", file.data, "w refused"
+    for weight, loss, y_rate, z_rate, allowed in (
+        ("", "1 1", "-1 y", "-1 z", "refused"),
+        ("1 1", "1", "-1 y", "-1 z", "refused"),
+        ("1 1 1", "1 1", "-1 y", "-1 z", "refused"),
+        ("1 1", "1 1 1 1 1", "-1 y", "-1 z", "refused"),
+        ("1 1", "-1 1", "+1 y", "-1 z", "w"),
+        ("-1 -1", "1 1", "+1 y", "+1 z", "w"),
+        ("1 2 2 1", "1 1", "+1/3 y -2/3 z", "-2/3 y +1/3 z", "w"),  # it is not positive
+        ("1 -2 2 1", "1 2 -2 1", "+3/5 y +4/5 z", "-4/5 y +3/5 z", "w"),  # it is not symmetric
+    ):
+        file = File()
+        places = file.states(x="-1 x", y=y_rate, z=z_rate)
+        x, unit = file.vector(places["x"]), file.vector(file.number("1"))
+        file.term("stored", x, unit)
+        file.term("dissipated", x, unit)
+        both = file.vector(places["y"], places["z"])
+        own = {key: file.vector(*map(file.number, text.split())) for key, text in (("weight", weight), ("loss", loss))}
+        file.data["stable"] = [{"vector": both, **own}]
+        concluded(file.data, both, "is bounded")
+        yield f"a linear equation with the weight ({weight}) and the loss ({loss})", file.data, allowed
 
     file = stable()
-    x, y = file.data["vectors"][0][1][0], file.symbol("y", "state")
-    file.data["rates"]["y"] = file.vector(y)
-    wide, long = file.vector(x, y), file.vector(x, y, x)
-    file.data["linear"] = [{"vectors": [wide, wide], "rates": [[wide, long], [wide, wide]]}]
-    yield "a linear equation with vectors of two sizes", file.data, "refused"
+    y, K = file.symbol("y", "state"), file.symbol("K", "state")
+    grown = file.instruction("mul", K, K)
+    file.data["rates"] |= {"y": file.vector(y), "K": file.vector(K)}
+    one = file.vector(file.number("1"))
+    file.data["stable"] = [{"vector": file.vector(y), "weight": file.vector(grown), "loss": one}]
+    concluded(file.data, file.vector(y), "is bounded")
+    yield "a linear equation whose weight is a state", file.data, "w"
 
     file = stable()
     y = file.vector(file.symbol("y", "state"))
     file.data["rates"]["y"] = file.vector(file.number("1"))
-    empty = file.data["vectors"].append([1, []]) or len(file.data["vectors"]) - 1
+    empty = file.vector()
     file.data["ranks"] = [{"name": "R", "matrix": empty, "vector": y}]
     concluded(file.data, y)
     yield "a matrix of full rank without columns", file.data, "w refused"
@@ -240,10 +247,10 @@ def _linear() -> Iterator[Attack]:
 def _numbers() -> Iterator[Attack]:
     for exponent in (140, 300, 600):
         file = stable()
-        x = power = file.data["vectors"][0][1][0]
+        x = power = file.data["vectors"][0][0]
         for _ in range(exponent):
             power = file.instruction("mul", power, power)
-        rate = file.data["vectors"][file.data["rates"]["x"]][1][0]
+        rate = file.data["vectors"][file.data["rates"]["x"]][0]
         wrong = file.instruction("sub", power, x)
         file.data["rates"]["x"] = file.vector(file.instruction("add", rate, wrong))
         yield f"a rate that is wrong by x^(2^{exponent}) - x", file.data, "refuted refused"
@@ -262,10 +269,10 @@ def _numbers() -> Iterator[Attack]:
 
     for numbers in ([], [["1"]], [["1", "1", "1"]], [["1", "1"], ["1", "1"]], "11", [[1, 1]], {"0": "1"}):
         file = stable()
-        file.symbol("K", "parameter", numbers=numbers)
+        file.symbol("K", "constant", numbers=numbers)
         yield f"the numbers {numbers}", file.data, "refused"
     file = stable()
-    file.symbol("K", "parameter", numbers=[["1", "2"]], exact=True)
+    file.symbol("K", "constant", numbers=[["1", "2"]], exact=True)
     yield "an interval that is exact", file.data, "refused"
     file = stable()
     file.symbol("y", "state", numbers=[["1", "1"]])

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-LISTS: Final = ("symbols", "vectors", "terms", "projections", "masses", "linear", "ranks", "steps", "conditions")
+LISTS: Final = ("symbols", "vectors", "terms", "robots", "stable", "ranks", "conditions")
 
 
 class File:
     """A certificate that is written by hand: symbols of one element, and a program."""
 
     def __init__(self, over: str = "flow") -> None:
-        self.names = ["const", "input", "add", "sub", "mul", "div", "sin", "tanh"]
+        self.names = ["const", "input", "add", "sub", "mul", "div", "sin", "tanh", "fmin", "fmax"]
         program: dict[str, list[Any]] = {"operations": self.names, "code": [], "a": [], "b": [], "constants": []}
-        self.data: dict[str, Any] = {"format": "dmframe-certificate", "version": 3, "about": {}, "over": over}
+        self.data: dict[str, Any] = {"format": "dmframe-certificate", "version": 4, "about": {}, "over": over}
         self.data |= {key: [] for key in (*LISTS, "conclusions", "assumed")}
         self.data |= {"program": program, "rates": {}}
 
@@ -32,13 +32,21 @@ class File:
         return self.instruction("const", len(self.data["program"]["constants"]) - 1)
 
     def vector(self, *places: int) -> int:
-        self.data["vectors"].append([len(places), list(places)])
+        self.data["vectors"].append(list(places))
         return len(self.data["vectors"]) - 1
 
     def term(self, role: str, vector: int, weight: int, assumed: str | None = None) -> None:
-        parts, name = {"vector": vector, "weight": weight}, f"{role} {len(self.data['terms'])}"
-        item = {"name": name, "role": role, "rule": "square", "parts": parts, "assumed": assumed, "phi": None}
-        self.data["terms"].append(item)
+        self.rule("square", role, {"vector": vector, "weight": weight}, assumed)
+
+    def rule(self, rule: str, role: str, parts: dict[str, int], assumed: str | None = None) -> None:
+        name = f"{role} {len(self.data['terms'])}"
+        self.data["terms"].append({"name": name, "role": role, "rule": rule, "parts": parts, "assumed": assumed})
+
+    def projected(self, state: int, correction: int, low: str, high: str, true: str = "0") -> None:
+        """A projected estimate of one element, whose error has the weight 1 in V."""
+        ends = {"true": true, "lower": low, "upper": high, "weight": "1"}
+        parts = {"vector": self.vector(state), "correction": self.vector(correction)}
+        self.rule("projected", "dissipated", parts | {key: self.vector(self.number(x)) for key, x in ends.items()})
 
     def condition(self, margin: int | None, name: str = "open", *, strict: bool = True) -> None:
         self.data["conditions"].append({"name": name, "margin": margin, "strict": strict})
@@ -60,7 +68,7 @@ def concluded(data: dict[str, Any], vector: int, says: str = "goes to zero", sig
     data["conclusions"].append({"signal": signal, "says": says, "vector": vector})
 
 
-def constant(data: dict[str, Any], *values: str, rows: int = 0) -> int:
+def constant(data: dict[str, Any], *values: str) -> int:
     """A new vector of numbers."""
     program, places = data["program"], []
     for value in values:
@@ -69,7 +77,7 @@ def constant(data: dict[str, Any], *values: str, rows: int = 0) -> int:
         program["a"].append(len(program["constants"]) - 1)
         program["b"].append(0)
         places.append(len(program["code"]) - 1)
-    data["vectors"].append([rows or len(places), places])
+    data["vectors"].append(places)
     return len(data["vectors"]) - 1
 
 
@@ -106,9 +114,8 @@ def circular(*, nominal: str) -> dict[str, Any]:
     """
     file = File()
     a, b, x = (file.symbol(label, "state") for label in "abx")
-    ca, cb = (file.symbol(f"{label}, correction", "projection") for label in "ab")
+    ca, cb = (file.symbol(f"{label}, correction", "correction") for label in "ab")
     one = {"a": a, "b, correction": cb}[nominal]
-    zero, low, high = (file.vector(file.number(text)) for text in ("0", "-9", "9"))
     unit = file.vector(file.number("1"))
     product = file.instruction
     moved = product("add", product("mul", a, one), product("mul", b, ca))
@@ -118,9 +125,33 @@ def circular(*, nominal: str) -> dict[str, Any]:
     for place in (a, b, x):
         file.term("stored", file.vector(place), unit)
     file.term("dissipated", file.data["terms"][2]["parts"]["vector"], unit)
-    own = {"set": "box", "true": zero, "lower": low, "upper": high}
-    for k, label in enumerate("ab"):
-        item = {"term": k, "state": label, **own}
-        file.data["projections"].append(item)
+    for state, correction in ((a, ca), (b, cb)):
+        file.projected(state, correction, "-9", "9")
     concluded(file.data, file.data["rates"]["a"], "is bounded")
     return file.data
+
+
+def sampled(true: str = "0") -> File:
+    """theta+ = theta + (y - theta) / 2 in the box [-1, 1], from sample to sample: a true file where it contains `true`.
+
+    It is the normalised step of the row h = 1 with a gain and a floor of 1, so that n = 2.
+    """
+    file = File("sample")
+    theta, y, make = file.symbol("theta", "state"), file.symbol("y", "given"), file.instruction
+    half, value, one = file.number("1/2"), file.number(true), file.vector(file.number("1"))
+    ends, halves = [file.number(text) for text in ("-1", "1")], file.vector(half, half)
+    error, unexplained = make("sub", theta, value), make("sub", y, value)
+    step = make("mul", make("sub", y, theta), half)
+    z = make("add", theta, step)
+    x = make("fmin", make("fmax", z, ends[0]), ends[1])
+    correction = file.vector(make("sub", x, z))
+    file.term("stored", file.vector(error), one)
+    for role, own in (("dissipated", error), ("residual", unexplained)):
+        scaled = make("mul", own, half)
+        file.term(role, file.vector(scaled, scaled), halves)
+    file.term("dissipated", file.vector(step), file.vector(half))
+    file.term("dissipated", correction, file.vector(half))
+    parts = {"vector": file.vector(z), "correction": correction, "true": file.vector(value), "weight": one}
+    file.rule("projected", "dissipated", parts | {"lower": file.vector(ends[0]), "upper": file.vector(ends[1])})
+    file.data["rates"]["theta"] = file.vector(x)
+    return file
