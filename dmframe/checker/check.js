@@ -232,6 +232,7 @@ globalThis.checker = (() => {
     }
     readProgram({ operations, constants, code, a, b }) {
       const g = this.graph, numbers = list(constants).map(rational), nodes = [];
+      for (const column of [code, a, b]) for (const k of list(column)) whole(k);
       need([a, b].every((x) => list(x).length === code.length), "size");
       list(code).forEach((k, i) => {
         const name = at(operations, k);
