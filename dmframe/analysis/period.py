@@ -14,7 +14,7 @@ from dmframe.common.errors import DmframeError, EngineError, ValueFault
 from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.simulate import Solver, simulate
-from dmframe.simulate.step import MOST_SUBSTEPS
+from dmframe.simulate.solver import MOST_SUBSTEPS
 
 SHORTEST, LONGEST = 1e-5, 10.0
 """Range of tested sampling periods [s]."""

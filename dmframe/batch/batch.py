@@ -25,9 +25,10 @@ from dmframe.simulate import Recording, simulate_many
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.engine import Choice, worth
 from dmframe.simulate.keep import Log, rotation_distance_of
-from dmframe.simulate.many import cores
+from dmframe.simulate.many import chosen_for_all, cores
 from dmframe.simulate.run import Prepared, prepare
-from dmframe.simulate.step import FIXED, Solver, Step, build_parts
+from dmframe.simulate.solver import FIXED, Solver
+from dmframe.simulate.step import Step, build_parts
 
 BLOCK: Final = 4096
 """Runs whose parameters and states are in memory at a time."""
@@ -114,8 +115,8 @@ class Batch:
     def prepared(self) -> Prepared:
         """Step function, clock and solver, as for a single run."""
         settings = {"clock": None, "solver": Solver(), "log": Log(), **self.settings}
-        settings.pop("start", None)
-        return prepare(self.diagram, self.duration, **settings)
+        start = settings.pop("start", {})
+        return chosen_for_all(prepare(self.diagram, self.duration, **settings), self.diagram, start, self.choice)
 
     @cached_property
     def channels(self) -> dict[str, tuple[str, Any]]:
@@ -194,8 +195,10 @@ class Batch:
     def _run_whole(self, columns: Mapping[str, np.ndarray], table: FigureTable, runs: np.ndarray) -> None:
         """Run some rows of the columns one by one, with any engine, and reduce each recording."""
         variants = [{label: column[run].tolist() for label, column in columns.items()} for run in runs]
-        settings = {**self.settings, "engine": self.choice, "threads": self.threads}
+        chosen = {"solver": self.prepared.solver, "engine": self.choice, "threads": self.threads}
+        settings = {**self.settings, **chosen}
         reduced = partial(figures_of_run, wanted=self.wanted)
+        table.notices.update(dict.fromkeys(self.prepared.notices))
         found = simulate_many(self.diagram, variants, self.duration, reduce=reduced, **settings)
         for run, result in zip(runs.tolist(), found, strict=True):
             if isinstance(result, UnknownNameError | NeedsDiagramError):

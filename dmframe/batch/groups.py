@@ -19,7 +19,8 @@ from dmframe.batch.simd import Group, SimdLoop
 from dmframe.results.metrics import EIGHTHS, eighth_of
 from dmframe.simulate.instants import TIME
 from dmframe.simulate.run import LATER, Prepared
-from dmframe.simulate.step import FIXED, Step
+from dmframe.simulate.solver import FIXED
+from dmframe.simulate.step import Step
 from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, fastest, stiffness
 
 TICKS: Final = 16384

@@ -25,7 +25,8 @@ from dmframe.prove.refute import Refutation
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
-ANGLE: Final = "rad"
+UNFELT: Final = frozenset(("rad", "s"))
+"""Units of angles and of clocks, which may increase without bound in a stable loop."""
 
 NAMED: Final = 3
 """Largest number of states that a headline lists by name; otherwise it gives their number, and the text the names."""
@@ -94,14 +95,14 @@ class Verdict:
     def stable(self) -> bool:
         """True if it is proved in continuous time, without a residual, that the states of the closed loop are bounded.
 
-        Combinations of angles that no rate depends on, such as whole turns of a joint, are left out. False for a proof
-        of an estimator over samples, and for one that leaves states open, or an unbounded combination of others.
+        Combinations of angles and clocks that no rate depends on, such as whole turns of a joint, are left out. False
+        for a proof of an estimator over samples, and for one that leaves states open, or others in such a combination.
         """
         claim = self.flow_claim
         if self.outcome != "proved" or claim is None or self.bounds or self.states is None or self.states.open:
             return False
-        angles = {variable.label for variable in claim.loop.variables if variable.unit == ANGLE}
-        return set(self.states.unfelt) <= angles
+        harmless = {variable.label for variable in claim.loop.variables if variable.unit in UNFELT}
+        return set(self.states.unfelt) <= harmless
 
     @property
     def rows_assumed(self) -> bool:

@@ -232,6 +232,7 @@ globalThis.checker = (() => {
     }
     readProgram({ operations, constants, code, a, b }) {
       const g = this.graph, numbers = list(constants).map(rational), nodes = [];
+      for (const column of [code, a, b]) for (const k of list(column)) whole(k);
       need([a, b].every((x) => list(x).length === code.length), "size");
       list(code).forEach((k, i) => {
         const name = at(operations, k);
@@ -293,13 +294,13 @@ globalThis.checker = (() => {
 
   function termValue(of, term) {
     const g = of.graph, { rule, vector: a, weight: w, scale: v } = term, scaled = (x) => x.map((x, k) => g.div(x, at(v, k)));
+    need(!v || v.length === a.length, "size");
     if (rule === "square") return g.dot(a, weighted(g, w, a));
     if (rule === "projected") { // -w (x - true) c
       const { correction: c } = term, x = of.samples ? g.plus(a, c) : a;
       return g.neg(g.dot(w, g.times(g.minus(x, term["true"]), c)));
     }
     if (rule === "potential") { // sum 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
-      need(v.length === a.length, "size");
       const gains = v.map((v, k) => g.mul(g.mul(v, v), g.sub(root(g, a[k], v), ONE)));
       return g.dot(w, gains.map((x) => g.add(x, x)));
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -104,6 +105,10 @@ def new(
     for note in notes:
         tell(note)
     tell(f"wrote {target}; try: dmframe run {target}")
+    if name not in known:
+        tell(f"then: dmframe verify {target}; dmframe run {target} --baseline, the same gain without adaptation")
+        chosen = [*(["--tool", tool] if tool else []), *(word for item in hold for word in ("--hold", item))]
+        tell(f"tuned and compared with other laws: {shlex.join(['dmframe', 'design', name, *chosen])} --out DIR")
 
 
 def blocks(

@@ -47,7 +47,7 @@ def demo(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="FILE", callback=home, help="Copy the page to this new file.")
     ] = None,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Print the path only.")] = False,
+    no_open: Annotated[bool, typer.Option("--no-browser", "--no-open", help="Print the path only.")] = False,
 ) -> None:
     """Open a live page of the package in a browser: a controller next to its rivals.
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidat
 from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.common.units import joint_place, to_unit
 from dmframe.simulate.instants import seed_fault
-from dmframe.simulate.step import Method
+from dmframe.simulate.solver import FIXED, Method, Solver
 
 
 def _reader(unit: str, *, positive: bool) -> BeforeValidator:
@@ -48,6 +48,15 @@ def _place(value: Any) -> float:
 
 
 Place = Annotated[float, PlainValidator(_place), _schema("rad, or m for a joint that slides")]
+
+
+def _distance(value: Any) -> float:
+    if (number := _place(value)) <= 0:
+        raise ValueError(f"expected a positive number in rad, or in m for joints that slide, found {value!r}")
+    return number
+
+
+Distance = Annotated[float, PlainValidator(_distance), _schema("rad, or m for joints that slide")]
 Length = Annotated[float, _reader("m", positive=True), _schema("m")]
 Speed = Annotated[float, _reader("rad/s", positive=True), _schema("rad/s")]
 
@@ -145,11 +154,24 @@ class SolverSection(Section):
         None,
         description="longest step of rk4, ros34pw2; default 1 ms, 0.5 ms for ros34pw2, less where rk4 requires it",
     )
+    accuracy: Distance | None = Field(
+        None,
+        description="largest error of a joint position by integration, from which method and step follow [rad, or m]; "
+        "by default the automatic steps, or shorter ones for 1e-5",
+    )
     output: Seconds = Field(0.01, description="with a continuous clock, the period of recording")
     tolerance: Annotated[float, Field(strict=True, gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
     share: Annotated[float, Field(strict=True, gt=0, le=1)] = Field(
         0.8, description="fraction of the longest stable step that rk4 uses if no step is given"
     )
+
+    @property
+    def solver(self) -> Solver:
+        """The solver; with an accuracy it is free to choose among the methods, or the steps of a given method."""
+        free: tuple[Method, ...] = ()
+        if self.accuracy is not None:
+            free = (self.method,) if {"method", "step"} & self.model_fields_set else FIXED
+        return Solver(self.method, self.step, self.output, self.tolerance, self.share, self.accuracy, free)
 
 
 @final

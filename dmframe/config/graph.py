@@ -170,8 +170,7 @@ class BaseGraph:
     @property
     def solver(self) -> Solver:
         """The solver that the file specifies."""
-        section = self.file.solver
-        return Solver(section.method, section.step, section.output, section.tolerance, section.share)
+        return self.file.solver.solver
 
     @property
     def log(self) -> Log:
@@ -234,7 +233,8 @@ class BaseGraph:
         log
             What is recorded, if that differs from the file.
         """
-        settings = {**self.settings, "log": log or self.log, "engine": engine, "progress": progress}
+        settings = {**self.settings, "solver": self.solver.checked, "log": log or self.log}
+        settings |= {"engine": engine, "progress": progress}
         with self.placing():
             return simulate(diagram or self.diagram, self.file.duration, **settings)
 

@@ -27,14 +27,13 @@ from dmframe.diagram.closed_loop import ClosedLoop, Parameter
 from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.flatten import flatten
 from dmframe.diagram.resolve import Resolver
+from dmframe.diagram.wire_checks import check_truths, check_wires
 from dmframe.diagram.wiring import (
     End,
     Outputs,
     Source,
     Way,
     Wire,
-    check_truths,
-    check_wires,
     unread,
     ways,
     wire_blocks,

@@ -18,7 +18,8 @@ from dmframe.block.port import Input, Output, Side
 from dmframe.block.steady import same_expression
 from dmframe.common.errors import BlockError
 from dmframe.diagram.diagram import Diagram
-from dmframe.diagram.wiring import Wire, same_unit
+from dmframe.diagram.wire_checks import same_unit
+from dmframe.diagram.wiring import Wire
 
 Stated = Mapping[str, Mapping[str, SX]]
 """True values from certificates, by block and by name."""

@@ -1,4 +1,4 @@
-"""Wiring: connect each input to an output by name or by the graph file, and check access, shape and unit."""
+"""Wiring: connect each input to an output by name or by the graph file."""
 
 from __future__ import annotations
 
@@ -6,19 +6,16 @@ from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import final
 
-from dmframe.block import AbstractBlock, type_name
+from dmframe.block import AbstractBlock
 from dmframe.block.port import ANY, PERIOD, TIME, Access, Input, Output, Side
-from dmframe.block.sizes import Sizes
 from dmframe.common.errors import (
     AccessError,
     DmframeError,
-    ShapeError,
-    UnitError,
     UnknownNameError,
     WiringError,
     nearest,
 )
-from dmframe.common.units import compatible, is_rate
+from dmframe.common.units import is_rate
 
 End = tuple[str, str]
 """A block's name and a port's."""
@@ -288,7 +285,7 @@ def _remedy(name: str, port: Input, outputs: Outputs, blocks: Mapping[str, Abstr
         if other != name
         and (not desired or other in sources or key.endswith("_d"))
         and (out.shape, out.unit) == (port.shape, port.unit)
-        and _access(Wire(other, key), out, blocks[other].side, (name, port.name), target, ()) is None
+        and access_fault(Wire(other, key), out, blocks[other].side, (name, port.name), target, ()) is None
     ]
     if not fitting:
         return add
@@ -319,66 +316,10 @@ def unread(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mappi
     return found
 
 
-def check_wires(
-    blocks: Mapping[str, AbstractBlock],
-    outputs: Outputs,
-    sources: Mapping[End, Source],
-    sizes: Sizes,
-    wires: Mapping[str, str],
-) -> list[DmframeError]:
-    """Access, shape and unit of every wire."""
-    faults = list[DmframeError | None]()
-    ports = {(name, port.name): port for name, block in blocks.items() for port in block.inputs}
-    for (name, port), source in sources.items():
-        if isinstance(source, Wire):
-            out, into = outputs[source.block][source.port], ports[name, port]
-            text = f"wire {source.block}.{source.port} -> {name}.{port}"
-            path = ("wires", f"{name}.{port}") if f"{name}.{port}" in wires else ("blocks", name)
-            barred = _access(source, out, blocks[source.block].side, (name, port), blocks[name].side, path)
-            if barred is not None:
-                faults.append(barred)
-                continue
-            faults.append(_shape(text, out, into, sizes, path))
-            if not same_unit(out, into):
-                found = out.unit or "a plain number"
-                faults.append(UnitError(f"{text}: expected {into.unit or 'a plain number'}, found {found}", path=path))
-    return [fault for fault in faults if fault is not None]
-
-
-def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[DmframeError]:
-    """Check the units of the plant signals that a block's proof reads: another unit belongs to another plant."""
-    plant = [
-        (name, port) for name, ports in outputs.items() if blocks[name].side is Side.PLANT for port in ports.values()
-    ]
-    faults = list[DmframeError]()
-    for name, block in blocks.items():
-        incompatible = set[str]()
-        for truth in block.truth:
-            found = [(other, port) for other, port in plant if port.name == truth.name and other != name]
-            if not found or any(same_unit(port, truth) for _, port in found):
-                continue
-            other, port = found[0]
-            if other not in incompatible:  # one fault per block is sufficient
-                incompatible.add(other)
-                faults.append(
-                    UnitError(
-                        f"{name}: {type_name(type(block))} expects {other}.{port.name} in {truth.unit or 'no unit'}, "
-                        f"found {port.unit or 'no unit'}; "
-                        f"it is incompatible with {other} ({type_name(type(blocks[other]))})",
-                        path=("blocks", name),
-                    )
-                )
-    return faults
-
-
-def same_unit(output: Output, reader: Input) -> bool:
-    """True if the reader can use the output's numbers without conversion."""
-    return reader.unit == ANY or compatible(output.unit, reader.unit)
-
-
-def _access(
+def access_fault(
     source: Wire, out: Output, origin: Side, end: End, target: Side, path: tuple[str, ...]
 ) -> DmframeError | None:
+    """The fault of a wire that may not exist, since the robot's architecture is closed; None if it may."""
     reader, signal = f"{end[0]}.{end[1]}", f"{source.block}.{source.port}"
     if target is not Side.PLANT and origin is Side.PLANT and out.access is not Access.MEASURED:
         return AccessError(
@@ -394,13 +335,3 @@ def _access(
     if target is Side.SOURCE and origin is not Side.CONTROLLER:
         return AccessError(f"{reader} is an input of a source, whose time is t or a controller's output", path=path)
     return None
-
-
-def _shape(text: str, out: Output, into: Input, sizes: Sizes, path: tuple[str, ...]) -> DmframeError | None:
-    try:
-        found, expected = sizes.of(out.shape), sizes.of(into.shape)
-    except KeyError:
-        return None
-    if found == expected:
-        return None
-    return ShapeError(f"{text}: expected shape {sizes.explain(into.shape)}, found {found}", path=path)

@@ -109,7 +109,7 @@ def run_on_robot(
         robot=robot,
         plan=plan,
         gate=gate,
-        solver=graph.solver,
+        solver=graph.solver.automatic,
         thinned=record is not None,
     )
     if recording is None:

@@ -55,7 +55,9 @@ def samples_of(graph: BaseGraph, program: Program) -> Samples:
     Raises `EngineError` if the first results are not finite.
     """
     count = max(1, min(SAMPLES, round(graph.file.duration / program.period)))
-    run = simulate(graph.diagram, count * program.period, **{**graph.settings, "log": Log()})
+    run = simulate(
+        graph.diagram, count * program.period, **{**graph.settings, "solver": graph.solver.automatic, "log": Log()}
+    )
     times, commanded, states = run.time[:count], list[np.ndarray](), list[np.ndarray]()
     measured = np.hstack([run[item.label][: len(times)].reshape(len(times), -1) for item in program.measured])
     controller = Controller(graph.diagram, program.period, start=graph.start, engine="interpreted")

@@ -17,8 +17,9 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
 from dmframe.export.program import Member, identifier, members
 from dmframe.simulate import simulate
+from dmframe.simulate.solver import substeps_of
 from dmframe.simulate.start import start_state
-from dmframe.simulate.step import build_parts, substeps_of
+from dmframe.simulate.step import build_parts
 
 
 @final
@@ -102,7 +103,7 @@ def _robot_of(graph: BaseGraph) -> Robot:
         for projection in loop.projections
     ):
         raise EngineError(f"{name}: a state of its robot is projected to a box, which an export does not support")
-    run = simulate(diagram, clock, **graph.settings)
+    run = simulate(diagram, clock, **{**graph.settings, "solver": graph.solver.automatic})
     if run.solver.method != "rk4":
         raise EngineError(f"{name}: expected the method rk4 for an exported robot, found {run.solver.method}")
     torque = _torque(diagram)

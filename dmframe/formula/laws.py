@@ -15,7 +15,8 @@ from dmframe.block.naming import as_mx, expression_of
 from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.view import View
-from dmframe.diagram.wiring import Zero, same_unit
+from dmframe.diagram.wire_checks import same_unit
+from dmframe.diagram.wiring import Zero
 from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula

@@ -170,7 +170,7 @@ class Graph(BaseGraph):
             found = analyse(
                 self.diagram,
                 self.clock,
-                solver=self.solver,
+                solver=self.solver.automatic,
                 start=self.start,
                 horizon=until,
                 uncertain=self.intervals(),

@@ -32,8 +32,8 @@ from dmframe.report.command import command
 from dmframe.report.verdict_text import verdict_text
 from dmframe.results.dataset import axis_labels, elements
 from dmframe.simulate.bounds import bounds_of
+from dmframe.simulate.solver import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
 from dmframe.simulate.start import start_state
-from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
 
 HORIZON = 20.0
 """Maximum simulated time of a page [s]."""

@@ -66,7 +66,7 @@ def linear_view(graph: BaseGraph, tell: Callable[[str], None] = lambda _: None) 
         found = analyse(
             graph.diagram,
             clock,
-            solver=graph.solver,
+            solver=graph.solver.automatic,
             start=graph.start,
             horizon=min(LONGEST, graph.file.duration),
             tell=tell,

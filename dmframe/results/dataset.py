@@ -20,7 +20,7 @@ from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text
 from dmframe.diagram import Diagram
 from dmframe.simulate import Recording, Solver
-from dmframe.simulate.step import FIXED
+from dmframe.simulate.solver import FIXED
 
 if TYPE_CHECKING:
     import xarray
@@ -93,6 +93,9 @@ def _attributes(run: Recording, graph: BaseGraph | None) -> dict[str, Any]:
         "source": f"dmframe {version()}",
         "engine": run.engine,
     }
+    if run.estimate is not None:
+        share = f"compared in {run.estimate.share:.3g} of the run"
+        attributes["integration_error"] = f"{run.estimate.error:.3g} {run.estimate.unit}, {share}"
     if run.drive:
         attributes["drive"] = json.dumps(dict(run.drive))
     if graph is not None:

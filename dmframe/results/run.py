@@ -24,7 +24,7 @@ from dmframe.results.decided import Decided
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
 from dmframe.results.reported import ReportedEstimate, reported_estimates
 from dmframe.results.storage import SIGNALS, Storage, decided_by, storage_of, with_storage
-from dmframe.results.summary import summary, summary_of
+from dmframe.results.summary import integrated, summary, summary_of
 from dmframe.simulate import Divergence, Recording
 
 if TYPE_CHECKING:
@@ -378,6 +378,7 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
     """Warnings and reported estimates of each run."""
     lines = list[str]()
     for run in runs:
+        lines += [f"{run.name}: {text}" for text in integrated(run.recording)]
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
         lines += [f"{run.name}: {item}" for item in run.shown]
         lines += run.bounded

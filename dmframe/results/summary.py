@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from dmframe.common.errors import DmframeError
+from dmframe.common.units import plain
 from dmframe.results.metrics import Deviation, TrackingError, tracking_error, turn_error
 from dmframe.results.reported import reported_estimates
 from dmframe.results.storage import no_storage
@@ -61,11 +62,29 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
             for item in reported_estimates(run)
         ],
         "engine": run.engine,
+        "solver": _solver(run),
         "wall_time": _number(run.wall_time),
         "real_time_factor": _number(run.real_time_factor),
         "notices": list(run.notices),
         "out": out,
     }
+
+
+def integrated(run: Recording) -> list[str]:
+    """Method, step and estimated error of the joints; empty without an estimate."""
+    method, step, estimate = run.solver.method, run.step, run.estimate
+    if estimate is None or step is None or not math.isfinite(estimate.error):
+        return []
+    error = f"{estimate.error:.1g} {estimate.unit}"
+    return [f"{method} in steps of {plain(step, 's')}, estimated error of the joints {error}"]
+
+
+def _solver(run: Recording) -> dict[str, Any]:
+    """Method, step [s] of a fixed-step method, and estimated error of the joints by integration."""
+    estimate, found = run.estimate, {"method": run.solver.method, "step": _number(run.step)}
+    if estimate is None:
+        return found | {"error": None, "unit": None, "share": None}
+    return found | {"error": _number(estimate.error), "unit": estimate.unit, "share": _number(estimate.share)}
 
 
 def _error(error: Deviation | None) -> dict[str, Any] | None:

@@ -26,8 +26,9 @@ from dmframe.simulate.engine import Choice, Compiled, choose
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.keep import Log
 from dmframe.simulate.run import prepare
+from dmframe.simulate.solver import Solver
 from dmframe.simulate.start import start_state
-from dmframe.simulate.step import Solver, plant_step
+from dmframe.simulate.step import plant_step
 from dmframe.simulate.stiffness import speed_of
 
 ARRIVED: Final = 1e-6

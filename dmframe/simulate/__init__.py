@@ -10,14 +10,14 @@ if TYPE_CHECKING:
     from dmframe.simulate.many import simulate_many
     from dmframe.simulate.recording import Recording
     from dmframe.simulate.run import simulate
+    from dmframe.simulate.solver import Solver
     from dmframe.simulate.start import start_state
-    from dmframe.simulate.step import Solver
 
 _HOMES: Final = {
     "Divergence": "bounds",
     "Log": "keep",
     "Recording": "recording",
-    "Solver": "step",
+    "Solver": "solver",
     "simulate": "run",
     "simulate_many": "many",
     "start_state": "start",

@@ -18,7 +18,8 @@ from dmframe.build.trial import called
 from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.remembered.recorder import paused
-from dmframe.simulate.step import FIXED, Solver, Step
+from dmframe.simulate.solver import FIXED, Solver
+from dmframe.simulate.step import Step
 
 Choice = Literal["auto", "compiled", "interpreted"]
 
@@ -87,10 +88,10 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
 
 def worth(step: Step, ticks: int) -> bool:
     """True if compiling saves time for this number of ticks."""
-    return ticks * _work(step) > WORTH
+    return ticks * work_of(step) > WORTH
 
 
-def _work(step: Step) -> int:
+def work_of(step: Step) -> int:
     """Instructions in a tick."""
     parts = step.parts
     substep = 4 * parts.rate.n_instructions()

@@ -5,18 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, TypedDict, TypeVar, Unpack, overload
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.errors import DmframeError, StartError, ValueFault
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.keep import Log
 from dmframe.simulate.recording import Recording
-from dmframe.simulate.run import prepare
+from dmframe.simulate.run import Prepared, prepare
+from dmframe.simulate.solver import Solver
 from dmframe.simulate.start import start_state
-from dmframe.simulate.step import Solver
 
 START = "start"
 """Key of a variant's initial values."""
@@ -88,7 +90,9 @@ def simulate_many(
         seed=settings.get("seed", 0),
         jitter=settings.get("jitter", 0.0),
     )
-    chosen, start = prepared.engine(engine, len(variants)), settings.get("start") or {}
+    start = settings.get("start") or {}
+    prepared = chosen_for_all(prepared, diagram, start, engine)
+    chosen = prepared.engine(engine, len(variants))
 
     def one(variant: Mapping[str, Any]) -> Any:
         try:
@@ -111,6 +115,35 @@ def simulate_many(
         return list(pool.map(one, variants))
     finally:
         pool.shutdown(cancel_futures=True)  # at Ctrl-C, pending runs are cancelled
+
+
+def chosen_for_all(prepared: Prepared, diagram: Diagram, start: Mapping[str, Any], choice: Choice) -> Prepared:
+    """The setup of many runs whose solver states an accuracy: method and steps of one run with the diagram's numbers.
+
+    They replace the automatic ones: a run whose plant is stiffer takes shorter steps. A notice states them.
+    """
+    solver, accuracy = prepared.solver, prepared.solver.accuracy
+    if accuracy is None:
+        return prepared
+    plainly = prepared.solved_by(solver.automatic)
+    if solver.step is not None:
+        return plainly
+    found: Recording | None = None
+    try:
+        with SYMBOLIC:
+            state = start_state(diagram, start, prepared.starts, prepared.step.instants)
+        found = prepared.complete(diagram, state, choice)
+    except StartError:  # other runs may have other starts
+        pass
+    if found is None or found.estimate is None or found.solver.step is None or found.estimate.error > accuracy:
+        notice = f"solver.accuracy: steps are automatic, since no run with the graph's own numbers keeps {accuracy:g}"
+        return replace(plainly, notices=(*prepared.notices, notice))
+    own = replace(solver.automatic, method=found.solver.method, plain=found.solver.step)
+    notice = (
+        f"solver.accuracy: {own.method} in steps of {plain(found.solver.step, 's')} for all runs; with the graph's own "
+        f"numbers, the estimated error of the joints is {found.estimate.error:.1g} {found.estimate.unit}"
+    )
+    return replace(prepared.solved_by(own), notices=(*prepared.notices, notice))
 
 
 def cores() -> int:

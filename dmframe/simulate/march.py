@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import final
 
@@ -41,15 +41,23 @@ def march(
     p: np.ndarray,
     ticks: int,
     progress: Progress | None,
+    marks: Mapping[int, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, End, int]:
-    """Run the ticks; returns recorded rows, end and number of ticks done; `state` is updated in place."""
+    """Run the ticks; returns recorded rows, end and number of ticks done; `state` is updated in place.
+
+    `marks` are ticks, each with an array that receives the state at its beginning.
+    """
     every = keeping.every
     rows = np.empty((keeping.rows(ticks), keeping.kept.size))
     done, size, end = 0, CHUNK, End.DONE
+    marks = marks or {}
     before = (0, state.copy())  # one tuple, since Ctrl-C may interrupt between any two statements
     try:
         while done < ticks:
-            begin, wanted = time.perf_counter(), min(size, ticks - done)
+            if done in marks:
+                marks[done][:] = state
+            ends = [mark for mark in marks if mark > done]
+            begin, wanted = time.perf_counter(), min([size, ticks - done, *(mark - done for mark in ends)])
             reached = engine.advance(state, p, done, wanted, rows[-(-done // every) :])
             if reached < wanted:
                 return rows[: keeping.rows(done + reached)], End.DIVERGED, done + reached

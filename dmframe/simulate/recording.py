@@ -12,7 +12,7 @@ from dmframe.diagram import Diagram
 from dmframe.simulate.bounds import Divergence
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.rank import Rank
-from dmframe.simulate.step import Solver
+from dmframe.simulate.solver import FIXED, Solver, substeps_of
 
 
 @final
@@ -32,6 +32,26 @@ class ExtraSignal:
     shape: str
     unit: str
     about: str
+
+
+@final
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated error of integration.
+
+    Parameters
+    ----------
+    error
+        Largest error of a joint position; infinite if a comparison diverged.
+    unit
+        ``rad``, ``m``, or ``rad, m`` for a robot with both kinds of joints.
+    share
+        Fraction of the run in which it was compared.
+    """
+
+    error: float
+    unit: str
+    share: float
 
 
 @final
@@ -56,6 +76,8 @@ class Recording:
         and empty if not every sample was kept.
     instants
         Times and random numbers of the ticks; None for a drive.
+    estimate
+        Estimated error of integration; None if it was not estimated.
     """
 
     diagram: Diagram
@@ -75,6 +97,16 @@ class Recording:
     drive: Mapping[str, Any] = field(default_factory=dict)
     start: np.ndarray = field(default_factory=lambda: np.zeros(0))
     instants: Instants | None = None
+    estimate: Estimate | None = None
+
+    @property
+    def step(self) -> float | None:
+        """Step of a fixed-step method in the longest tick [s]; None for another one."""
+        if self.solver.method not in FIXED:
+            return None
+        period = self.clock if self.clock is not None else self.solver.output
+        longest = period if self.instants is None else self.instants.longest
+        return longest / substeps_of(longest, self.solver)
 
     @property
     def real_time_factor(self) -> float:

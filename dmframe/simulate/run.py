@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,10 +12,11 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.common.errors import DmframeError, EngineError, ValueFault, raise_all
+from dmframe.common.errors import DmframeError, ValueFault, raise_all
 from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
+from dmframe.simulate.accuracy import Pilot
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.bounds import Divergence, bounds_of
 from dmframe.simulate.engine import Choice, Compiled, Engine, choose
@@ -26,8 +26,9 @@ from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.march import End, Progress, divergence_of, march
 from dmframe.simulate.rank import ranks, watched
 from dmframe.simulate.recording import Recording
+from dmframe.simulate.solver import FIXED, MOST_SUBSTEPS, Method, Solver, ticks_of
 from dmframe.simulate.start import check_start, start_state
-from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
+from dmframe.simulate.step import Step, build_step
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, omitted_terms, speed_of, stiffness
 from dmframe.simulate.warnings import (
     channel_models,
@@ -41,9 +42,6 @@ from dmframe.simulate.warnings import (
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""
-
-MOST_TICKS = 10_000_000_000
-"""Maximum number of ticks; hours of computation for a small loop."""
 
 
 def simulate(
@@ -124,13 +122,35 @@ class Prepared:
     ) -> Recording:
         """Run from a state with the parameters of `diagram` and automatic steps, unless the user chose a step.
 
-        A diverging run is repeated with shorter steps. `shared` is the engine of a batch.
+        A diverging run is repeated with shorter steps, and a run that misses the solver's accuracy too; see `Pilot`.
+        `shared` is the engine of a batch.
         """
         with SYMBOLIC:
             speed = speed_of(diagram, self.jacobian, state) if self.solver.method in FIXED else 0.0
             own = self.stepping(state, diagram.loop.p_values, speed)
             engine = own.engine(choice) if shared is None else own.sharing(shared, choice)
-        recording = own._run(diagram, engine, state, speed, progress)
+
+        def run(setup: Prepared, marks: dict[int, np.ndarray]) -> Recording:
+            with SYMBOLIC:
+                used = engine if setup is own else setup.sharing(engine, choice)
+            return self._finished(diagram, setup, used, state, speed, choice, progress, marks)
+
+        pilot = Pilot.of(own, self.notices, diagram, state, speed, choice, engine, run)
+        return run(own, {}) if pilot is None else pilot.recording(written=self.solver.step is not None)
+
+    def _finished(
+        self,
+        diagram: Diagram,
+        own: Prepared,
+        engine: Engine,
+        state: np.ndarray,
+        speed: float,
+        choice: Choice,
+        progress: Progress | None,
+        marks: dict[int, np.ndarray],
+    ) -> Recording:
+        """The recording of a setup, repeated with shorter steps if it diverges."""
+        recording = own._run(diagram, engine, state, speed, progress, marks)
         finer = self.finer(own)
         if recording.divergence is None or finer is None:
             return recording
@@ -204,13 +224,19 @@ class Prepared:
         return engine if alike else self.engine(choice)
 
     def _run(
-        self, diagram: Diagram, engine: Engine, state: np.ndarray, speed: float, progress: Progress | None = None
+        self,
+        diagram: Diagram,
+        engine: Engine,
+        state: np.ndarray,
+        speed: float,
+        progress: Progress | None = None,
+        marks: Mapping[int, np.ndarray] | None = None,
     ) -> Recording:
         p, start, state = diagram.loop.p_values, state, state.copy()
         with SYMBOLIC:
             stiff = stiffness(self.step, self.solver, speed, state, p)
         begin = time.perf_counter()
-        rows, end, done = march(engine, self.step, self.keeping, state, p, self.ticks, progress)
+        rows, end, done = march(engine, self.step, self.keeping, state, p, self.ticks, progress, marks)
         wall = time.perf_counter() - begin
         with SYMBOLIC:
             divergence = divergence_of(diagram, self.step, end, done, state, p)
@@ -290,29 +316,6 @@ def prepare(
             f"{plain(whole, 's')} are simulated, not {plain(duration, 's')}: whole ticks of {plain(step.period, 's')}",
         )
     return Prepared(clock, solver, step, ticks, matrices, kept, notices=notice, starts=diagram.loop.derived)
-
-
-def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
-    """Number of ticks of a run; raises `ValueFault` and `EngineError` for invalid times."""
-    for name, value in (("duration", duration), ("clock", clock)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
-    if clock is not None and clock > duration * (1 + 1e-9):
-        raise ValueFault(
-            f"clock: expected at most the simulated time, {plain(duration, 's')}, found {plain(clock, 's')}; take a "
-            "faster clock, or run longer",
-            path=("clock",),
-        )
-    substeps_of(clock, solver)
-    ticks = duration / (clock if clock is not None else solver.output)
-    if ticks > MOST_TICKS:
-        slower = "a slower clock" if clock is not None else "a longer solver.output"
-        raise EngineError(
-            f"duration: a run of {ticks:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
-            f"run a shorter time or take {slower}",
-            path=("duration",),
-        )
-    return max(1, round(ticks))
 
 
 def check_clock(diagram: Diagram, clock: float | None, jitter: float) -> None:

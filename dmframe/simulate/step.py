@@ -13,91 +13,27 @@ Without a sampling period, controller and plant are integrated together, and a t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Literal, final, get_args
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.block.certificate import SX
-from dmframe.common.errors import EngineError, ValueFault
+from dmframe.common.errors import EngineError
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.parts import Parts
 from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
-
-Method = Literal["rk4", "ros34pw2", "cvodes"]
-"""Fixed-step fourth-order Runge-Kutta; a fixed-step Rosenbrock method of third order for stiff plants; SUNDIALS'
-variable-step backward differentiation."""
-
-FIXED = ("rk4", "ros34pw2")
-"""Fixed-step methods, which can be compiled."""
-
-RK4_STABLE = 2.785
-"""Classical RK4 is stable on the negative real axis for h |lambda| below this [Hairer1996]_."""
-
-MOST_SUBSTEPS = 2000
-"""Maximum fixed steps in a tick; the function of a tick contains all of them."""
-
+from dmframe.simulate.solver import Solver, substeps_of
 
 EXPANDED = 30_000
 """Largest number of instructions in a tick whose function is expanded; above, expansion takes longer than it saves."""
-
-PLAIN_STEP = 0.001
-"""Default maximum step of rk4 [s]."""
-
-PLAIN_STEPS = {"rk4": PLAIN_STEP, "ros34pw2": PLAIN_STEP / 2}
-"""Default maximum steps of fixed-step methods, for similar errors [s]."""
-
-
-@final
-@dataclass(frozen=True)
-class Solver:
-    """Integrator of the continuous-time part.
-
-    Parameters
-    ----------
-    method
-        ``rk4``, ``ros34pw2`` or ``cvodes``.
-    step
-        Maximum step of rk4 and ros34pw2 [s]; a tick is divided into equal steps. None: `PLAIN_STEP`, or shorter for
-        a stiff plant.
-    output
-        Output interval in continuous time [s].
-    tolerance
-        Relative tolerance of cvodes; the absolute one is a thousandth of it.
-    share
-        Automatic steps of rk4 as a fraction of the largest stable step.
-    """
-
-    method: Method = "rk4"
-    step: float | None = None
-    output: float = 0.01
-    tolerance: float = 1e-9
-    share: float = 0.8
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if self.method not in get_args(Method):
-            *first, last = get_args(Method)
-            raise ValueFault(f"solver.method: expected {', '.join(first)} or {last}, found {self.method!r}")
-        for name in ("step", "output", "tolerance"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise ValueFault(f"solver.{name}: expected a positive number, found {value}")
-        if not 0 < self.share <= 1:
-            raise ValueFault(f"solver.share: expected a number above 0, at most 1, found {self.share}")
-
-    @property
-    def takes(self) -> float:
-        """Largest h |lambda| of automatic rk4 steps."""
-        return self.share * RK4_STABLE
 
 
 @final
@@ -266,24 +202,6 @@ def plant_step(
         clip=ca.Function("clip", [integrated, loop.p], [loop.held(integrated)]),
     )
     return Step(parts, None, solver, instants, substeps_of(instants.longest, solver), bounds)
-
-
-def substeps_of(clock: float | None, solver: Solver) -> int:
-    """Integrator steps in a tick of `clock` [s]. Raises `EngineError` above `MOST_SUBSTEPS`."""
-    if solver.method not in FIXED:
-        return 1
-    period = clock if clock is not None else solver.output
-    if solver.step is None:
-        return min(MOST_SUBSTEPS, max(1, math.ceil(round(period / PLAIN_STEPS[solver.method], 9))))
-    steps = period / solver.step
-    if steps > MOST_SUBSTEPS * (1 + 1e-9):
-        tick, shorter = ("", "a shorter clock") if clock is not None else ("solver.output, ", "a shorter output")
-        raise EngineError(
-            f"solver.step: expected at most {MOST_SUBSTEPS} steps in a tick of {tick}{period:g} s, found {steps:.3g}; "
-            f"take a longer step, {shorter}, or solver.method cvodes",
-            path=("solver", "step"),
-        )
-    return max(1, math.ceil(round(steps, 9)))
 
 
 def _columns_of(parts: Parts) -> tuple[Any, Any, Any]:

@@ -11,7 +11,8 @@ from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.rosenbrock import ROS34PW2
-from dmframe.simulate.step import FIXED, RK4_STABLE, Solver, Step
+from dmframe.simulate.solver import FIXED, RK4_STABLE, Solver
+from dmframe.simulate.step import Step
 
 RK4_STEPS = 10
 """Limit for rk4, as a multiple of its steps on a plant that is not stiff; above it ros34pw2 is selected, which takes

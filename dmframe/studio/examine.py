@@ -13,6 +13,7 @@ from dmframe.certify import Verdict
 from dmframe.common.errors import DmframeError
 from dmframe.common.units import plain
 from dmframe.config.document import read_document
+from dmframe.config.plausible import implausible
 from dmframe.diagram.values import changed_numbers, with_values
 from dmframe.drawing import svg
 from dmframe.graph.graph import Graph
@@ -141,11 +142,12 @@ def verdict_of(graph: Graph, verdict: Verdict) -> Stage:
     sampled = graph.clock is not None and verdict.flow_claim is not None
     headline = verdict.headline.replace("proved", "proved in continuous time", 1) if sampled else verdict.headline
     clock = f"The proof does not cover the sampling every {plain(graph.clock, 's')}" if graph.clock and sampled else ""
+    doubtful = implausible(graph)
     return {
         "stage": "verdict",
         "outcome": verdict.outcome,
         "headline": headline if verdict.outcome == "proved" else verdict.headline,
-        "restriction": clock if verdict.outcome == "proved" else "",
+        "restriction": "; ".join(filter(None, [clock, *doubtful])) if verdict.outcome == "proved" else "",
         "reason": verdict.reason.unicode,
         "blocks": _named(graph, verdict),
         "conditions": [
@@ -160,7 +162,7 @@ def verdict_of(graph: Graph, verdict: Verdict) -> Stage:
         "conclusions": [f"{item.signal.unicode} {item.says}" for item in verdict.statements if item.concludes]
         if verdict.outcome == "proved"
         else [],
-        "text": verdict_text(graph.name, verdict),
+        "text": verdict_text(graph.name, verdict, notices=doubtful),
     }
 
 

@@ -161,8 +161,10 @@ class Plot {
     g.setLineDash([]);
   }
 
-  // A value in the unit of the axis; on a logarithmic axis, whose values span several prefixes, with its own.
+  // A value in the unit of the axis, without rounding errors of the axis; on a logarithmic axis, whose values span several
+  // prefixes, with its own.
   reading(value) {
+    if (!this.log && Math.abs(value) < 1e-7 * (this.high - this.low)) value = 0;
     const { power, prefix } = this.log ? prefixed(value, this.unit) : { power: Math.log10(this.scale), prefix: this.prefix };
     return `${figure(value / 10 ** power)} ${superscript(prefix + this.unit)}`.trim();
   }

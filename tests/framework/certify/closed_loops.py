@@ -22,7 +22,8 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.graph.graph import Graph
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
-from dmframe.simulate.step import Solver, build_step
+from dmframe.simulate.solver import Solver
+from dmframe.simulate.step import build_step
 
 sys.path.append(str(Path(__file__).parents[1]))  # as in a command, the search path is this folder only
 from structures import packaged

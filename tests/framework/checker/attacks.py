@@ -263,6 +263,11 @@ def more() -> Iterator[Attack]:
         term = next(term for term in data["terms"] if term["rule"] == "tanh")
         term["parts"]["weight"] = constant(data, "1", "0", "4", "1")
 
+    def wider(data: dict[str, Any]) -> None:
+        term = next(term for term in data["terms"] if term["rule"] == "tanh")
+        term["parts"]["scale"] = constant(data, "1/200", "1/200", "1")
+
+    yield "a scale with more elements than its vector", _of("arm2_joint", wider), "refused"
     yield "a chain with fewer joints than positions", _of("arm2_joint", shorter), "refused"
     yield "a matrix as the weight of a monotone term", _of("arm2_joint", crossed), "refused"
 

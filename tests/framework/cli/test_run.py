@@ -17,7 +17,9 @@ from dmframe.graph.graph import Graph
 from dmframe.results.place import FIGURES, OF_EACH
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
-EXTRAS = {"bounds", "bounds_missing", "divergence", "interrupted", "notices", "rank", "shown", "storage", "turn"}
+EXTRAS = {
+    "bounds", "bounds_missing", "divergence", "interrupted", "notices", "rank", "shown", "solver", "storage", "turn"
+}  # fmt: skip
 FILES_END = (".yaml", ".json", ".nc")
 FILES = {"graph.yaml", "provenance.json", "seal.json", "signals.nc", "summary.json"}
 SHORT = ("--until", "0.5 s", "--no-plots")

@@ -69,7 +69,7 @@ def test_the_summary_is_valid_json_with_null_for_what_is_not_there(ur10, blow_up
     data = json.loads(json.dumps(summary("a", blow_up(ur10.recording, 0.4), "out"), allow_nan=False))
     assert list(data) == [
         "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "turn", "rank", "shown",
-        "engine", "wall_time", "real_time_factor", "notices", "out",
+        "engine", "solver", "wall_time", "real_time_factor", "notices", "out",
     ]  # fmt: skip
     assert list(data["error"]) == ["signal", "unit", "rms_by_eighth", "rms_final"]
     assert (data["diverged"], data["clock"], data["error"]["rms_final"]) == (True, 0.008, None)

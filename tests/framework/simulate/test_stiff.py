@@ -17,7 +17,7 @@ from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
-from dmframe.simulate.engine import _work
+from dmframe.simulate.engine import work_of
 from dmframe.simulate.run import Prepared, prepare
 
 PANDA = ["arm.coulomb=[6, 6, 6, 6, 1.3, 1.3, 1.34]"]
@@ -238,7 +238,7 @@ def test_one_of_its_steps_costs_at_most_twice_and_a_quarter_of_rk4s() -> None:
 
         def of_a_step(method: Any, prepared: Prepared = prepared, period: float = graph.file.clock or 0.0) -> int:
             whole, halves = (prepared.solved_by(Solver(method, period / k)).step for k in (1, 2))
-            return _work(halves) - _work(whole)
+            return work_of(halves) - work_of(whole)
 
         assert of_a_step("ros34pw2") < 2.25 * of_a_step("rk4")
 

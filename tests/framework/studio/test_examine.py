@@ -75,6 +75,12 @@ def test_a_sampled_loop_has_the_restriction_in_its_headline(tmp_path: Path) -> N
     assert found["verdict"]["restriction"] == "The proof does not cover the sampling every 4 ms"
 
 
+def test_an_implausible_clock_is_a_restriction(tmp_path: Path) -> None:
+    found = stages(edited("clock: continuous", "clock: 4"), tmp_path)["verdict"]
+    assert found["restriction"].endswith("; clock is 4 s, expected 50 µs to 500 ms; for 4 ms write `clock: 4 ms`")
+    assert "notice: clock is 4 s" in found["text"]
+
+
 def test_an_edit_of_numbers_gives_the_parameters_of_the_shown_page(tmp_path: Path) -> None:
     text = edited("K_c: 1,", "K_c: 2.5,").replace("K_D: 20,", "K_D: 21,")
     found = stages(text, tmp_path, TEXT)
