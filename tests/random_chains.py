@@ -48,7 +48,8 @@ def random_chain(folder: Path, seed: int, *, sliding: float = 0.2, untidy: bool 
         text += (
             f'<link name="l{k}">{"" if random.random() < 0.25 else inertial}</link><joint name={quoteattr(name)} '
             f'type="{kind}"><parent link="l{k - 1}"/><child link="l{k}"/><axis xyz="{_row(random.normal(size=3))}"/>'
-            f'{limit}<origin xyz="{_row(random.uniform(-0.4, 0.4, 3))}" rpy="{_row(random.uniform(-3, 3, 3))}"/></joint>'
+            f'{limit}<origin xyz="{_row(random.uniform(-0.4, 0.4, 3))}" rpy="{_row(random.uniform(-3, 3, 3))}"/>'
+            "</joint>"
         )
     path = folder / "made.urdf"
     path.write_text(f"{text}</robot>", encoding="utf-8")

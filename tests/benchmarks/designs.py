@@ -2,8 +2,8 @@
 
 Designs one robot after another, each within a time limit, then runs and verifies the graph that was handed over. A
 robot is a name or a file; `--chains` adds random ones. Finished robots are kept in the folder, and the table is printed
-as Markdown. Exit status 1 if a design ended in another way than adaptive, simple or blocked, took longer than its limit,
-or if its graph diverges or is not verified.
+as Markdown. The exit status is 1 if a design ended in another way than adaptive, simple or blocked, took longer than
+its limit, or if its graph diverges or is not verified.
 """
 
 from __future__ import annotations
@@ -116,8 +116,9 @@ def _number(value: float | None) -> str:
 
 
 def _robots(chosen: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    for robot in chosen.robots:
-        yield "_".join(Path(robot).parts[-2:]).removesuffix(".urdf") if "." in robot else robot, robot
+    stems = [Path(robot).name.partition(".")[0] for robot in chosen.robots]
+    for robot, stem in zip(chosen.robots, stems, strict=True):
+        yield (stem if stems.count(stem) == 1 else f"{Path(robot).parent.name}_{stem}"), robot
     for seed in range(SEED, SEED + chosen.chains):
         with tempfile.TemporaryDirectory() as folder:
             made = random_chain(Path(folder), seed, sliding=SLIDING, untidy=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,10 +22,10 @@ from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, Ranking, worth
 from dmframe.design.designed import Check, Designed, graph_name
 from dmframe.design.family import HELD_OUT, TRAINING, makers
-from dmframe.design.handover import set_aside
+from dmframe.design.handover import commands, set_aside
 from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of, tool_motion
 from dmframe.design.motion import TRAINING as TRAINED
-from dmframe.design.page import as_html
+from dmframe.design.page import LAWS, as_html
 from dmframe.design.progress import STAGES, Progress
 from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
@@ -91,7 +93,7 @@ def test_the_race_of_a_robot_has_all_laws_and_no_held_out_cell_in_training(first
     text = race_text(first, makers(first, 0.1, 48.0), motion_of(first), 0.008)
     (tmp_path / "race.yaml").write_text(text)
     race = load_race(tmp_path / "race.yaml")
-    assert set(race.file.laws) == {"feedback", "level", "trend", "repetitive", "experts", "adaptive"}
+    assert set(race.file.laws) == {"feedback", "level", "trend", "repetitive", "experts", "adaptive"} == set(LAWS)
     assert len(race.held_out) == len(HELD_OUT) * 2
     assert not {(c.plant, c.path) for c in race.held_out} & {(c.plant, c.path) for c in race.training}
     assert (race.file.base_unit, race.file.unit) == ("rad", "mrad")
@@ -220,6 +222,25 @@ def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path
     assert set_aside(tmp_path, "arm_level_8ms.yaml", "same")[0][0] == "before/3/arm_experts_8ms.yaml"
 
 
+def test_each_command_that_repeats_a_design_is_one_that_exists(tmp_path: Path) -> None:
+    chosen = candidate("experts", [1.0], adaptive=True)
+    found = Designed("adaptive", "r", tmp_path / "a b", "arm", 0.008, 1.5, chosen=chosen, command="dmframe design arm")
+    lines = commands(found).splitlines()
+    assert len(lines) == 14
+    assert all(line.startswith("# ") for line in lines[::2])
+    words = [shlex.split(line) for line in lines[1::2]]
+    assert [line[1] for line in words] == ["design", "race", "verify", "analyse", "rehearse", "run", "drive"]
+    for _, name, *rest in words:
+        shown = " ".join(CliRunner().invoke(app, [name, "--help"]).stdout.split())
+        assert {word for word in rest if word.startswith("--") and word not in shown} == set()
+        assert "a b" in " ".join(rest) or name == "design"
+
+
+def test_the_report_links_the_files_next_to_it(tmp_path: Path) -> None:
+    found = Designed("simple", "r", tmp_path, "arm", 0.008, 1.5, files=[("a b/report.html", "what it is")])
+    assert '<a href="a%20b/report.html"><code>a b/report.html</code></a>' in as_html(found)
+
+
 def test_a_graph_is_named_after_robot_law_and_clock() -> None:
     assert graph_name("ur5e", "experts", 0.008) == "ur5e_experts_8ms.yaml"
     assert graph_name("my arm.urdf.xacro", "level", 0.0025) == "my_arm_level_2_5ms.yaml"
@@ -250,23 +271,48 @@ def test_a_robot_that_is_no_arm_is_blocked_and_an_unknown_one_is_an_error(tmp_pa
     )
     found = module.design(Request.of(str(urdf)), tmp_path / "few")
     assert found.outcome == "blocked"
-    assert "expected an arm with 4 to 7" in found.reason
+    assert "expected an arm with 2 to 7" in found.reason
     assert json.loads((tmp_path / "few" / "design.json").read_text())["outcome"] == "blocked"
 
 
-def test_an_arm_with_a_prismatic_joint_is_blocked_at_once_with_the_remedy(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kinds", "text"),
+    [
+        ("RRPRR", "joint j3 is prismatic, and such a robot cannot be rehearsed; hold it with --hold j3=POSITION"),
+        ("RPRPR", "joints j2 and j4 are prismatic, .* hold them with --hold j2=POSITION --hold j4=POSITION"),
+        ("PPPR", "joints j1, j2 and j3 are prismatic, .* without them 1 of at least 2 joints would move"),
+    ],
+)
+def test_an_arm_with_a_prismatic_joint_is_blocked_at_once_with_the_remedy(
+    kinds: str, text: str, tmp_path: Path
+) -> None:
+    (tmp_path / "made.urdf").write_text(sliding_robot(kinds))
+    found = module.design(Request.of(str(tmp_path / "made.urdf")), tmp_path / "d")
+    assert found.outcome == "blocked"
+    assert re.fullmatch(text, found.reason)
+
+
+def test_the_remedy_leads_to_a_robot_with_which_the_design_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A SCARA arm has three joints without its quill."""
+    (tmp_path / "scara.urdf").write_text(sliding_robot("RRPR"))
+    monkeypatch.setattr(module, "_raced", lambda first, *_: pytest.fail(first.text))
+    with pytest.raises(pytest.fail.Exception, match=r"hold: \{j3: 0\.1\}"):
+        module.design(Request.of(str(tmp_path / "scara.urdf"), hold=[("j3", 0.1)]), tmp_path / "d")
+
+
+def sliding_robot(kinds: str) -> str:
     text = '<robot name="made"><link name="l0"/>'
-    for k in range(1, 6):
-        kind = "prismatic" if k == 3 else "revolute"
+    for k, letter in enumerate(kinds, 1):
+        kind = "prismatic" if letter == "P" else "revolute"
         text += (
             f'<link name="l{k}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
             f'</inertial></link><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/><child link="l{k}"/>'
             f'<origin xyz="0.2 0 0.1"/><axis xyz="{k % 2} 0 {1 - k % 2}"/>'
             '<limit lower="-1" upper="1" velocity="1" effort="100"/></joint>'
         )
-    (tmp_path / "scara.urdf").write_text(f"{text}</robot>")
-    found = module.design(Request.of(str(tmp_path / "scara.urdf")), tmp_path / "d")
-    assert (found.outcome, "hold it with --hold j3=POSITION" in found.reason) == ("blocked", True)
+    return f"{text}</robot>"
 
 
 class Rehearsing:
