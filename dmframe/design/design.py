@@ -49,7 +49,7 @@ TWIN: Final = "twin.urdf"
 LOAD: Final = ("payload", "payload_at")
 """Parameters of the arm that the handed-over graph does not have."""
 
-PARTLY: Final = "its estimates are proved, and the stability of the loop is tested by runs alone"
+PARTLY: Final = "are proved, and the stability of the loop is tested by runs alone"
 
 
 def design(request: Request, out: str | Path, *, workers: int | None = None, say: Say = lambda text: None) -> Designed:
@@ -208,7 +208,7 @@ def _chosen(
         checks = list(checks_of(graph, candidate, found, progress))
         failed = [check for check in checks if not check.passed]
         if not failed:
-            proof = "the loop is proved" if checks[0].whole else PARTLY
+            proof = "the loop is proved" if checks[0].whole else f"the estimates of {candidate.law} {PARTLY}"
             reason = f"{_against(candidate, simple, found.unit)}; {proof}"
             designed = replace(found, outcome="adaptive", reason=reason)
             return handed_over(graph, designed, candidate, simple, checks, progress)
