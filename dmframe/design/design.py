@@ -230,12 +230,14 @@ def _simple(
         graph = _graph_of(race, candidate, motion, family)
         checks = list(checks_of(graph, candidate, found, progress))
         if failed := [check for check in checks if not check.passed]:
-            reasons.setdefault(candidate.law, f"{candidate.law}: {failed[0].text}")
+            reasons.setdefault(candidate.law, failed[0].text)
             continue
         reason = f"take {candidate.law}, with {_error(candidate, found.unit)}: {why}"
         found = replace(found, outcome="simple", reason=reason, ranking=found.ranking.including(candidate))
         return handed_over(graph, found, candidate, adaptive, checks, progress)
-    left = "; ".join(reasons.values()) or "each law without a model diverged on one of the plants"
+    laws = {why: [law for law, other in reasons.items() if other == why] for why in reasons.values()}
+    left = "; ".join(f"{listed(names)}: {why}" for why, names in laws.items())
+    left = left or "each law without a model diverged on one of the plants"
     return replace(found, reason=f"{why}; {left}", other=adaptive)
 
 

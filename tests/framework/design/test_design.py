@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,12 +24,14 @@ from dmframe.design.decide import Candidate, Ranking, worth
 from dmframe.design.designed import Check, Designed, graph_name
 from dmframe.design.family import HELD_OUT, TRAINING, makers
 from dmframe.design.handover import commands, set_aside
+from dmframe.design.limits import limits_text
 from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of, tool_motion
 from dmframe.design.motion import TRAINING as TRAINED
 from dmframe.design.page import LAWS, as_html
 from dmframe.design.progress import STAGES, Progress
 from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
+from dmframe.drive.limits import load_limits
 from dmframe.graph.first import FirstGraph, first_graph
 from dmframe.race.plan import Run
 from dmframe.race.protocol import Choice, Tried
@@ -162,6 +165,23 @@ def test_the_race_of_a_tool_path_compares_the_error_of_the_tool(first: FirstGrap
     graph = race.graph(Run("feedback", race.held_out[0], race.laws["feedback", 0.008].own, 1))
     assert graph.diagram.loop.goal is not None
     assert (graph.diagram.loop.goal.desired, graph.diagram.loop.goal.actual) == ("path.x_d", "arm.x")
+
+
+@pytest.mark.parametrize("end", [1.4835298, 2.0943951023931953, 0.6283185307])
+def test_the_limits_of_a_design_are_inside_those_of_its_robot(end: float, tmp_path: Path) -> None:
+    """An end of a joint's range with more than six digits, as 85 degrees, is not rounded outwards."""
+    text = sliding_robot("RRRR").replace(
+        'lower="-1" upper="1" velocity="1"', f'lower="-{end}" upper="{end}" velocity="{end}"'
+    )
+    (tmp_path / "arm.urdf").write_text(text)
+    first = first_graph(str(tmp_path / "arm.urdf"), tmp_path)
+    (tmp_path / FIRST).write_text(first.text)
+    robot, motion = dm.load(tmp_path / FIRST).robot, motion_of(first)
+    wide = replace(motion, ranges=np.tile([-end, end], (4, 1)), rates=np.full(4, end))
+    (tmp_path / "limits.yaml").write_text(limits_text(wide, robot))
+    found = load_limits(tmp_path / "limits.yaml", robot)
+    np.testing.assert_allclose(found.upper, end, rtol=1e-5)
+    np.testing.assert_allclose(found.speed, end, rtol=1e-5)
 
 
 def test_both_kinds_of_laws_have_the_same_number_of_tried_values(monkeypatch: pytest.MonkeyPatch) -> None:
