@@ -44,6 +44,9 @@ PERIOD: Final = 0.008
 """Sampling period [s]."""
 STEP: Final = 0.2
 """Fraction of an error that adaptation may remove within one sample; from 2 on it diverges."""
+EFFORT: Final = 0.35
+"""Fraction of a joint's torque limit up to which its weight does not count against a posture: the motion, friction and
+a load need the rest."""
 SAMPLES: Final = 400
 """Postures tried for the centre of the motion."""
 REACH: Final = {"revolute": 0.25, "prismatic": 0.05}
@@ -248,8 +251,8 @@ def _amplitude(joint: Joint) -> float:
 
 
 def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
-    """Posture with the best dexterity times distance to the limits, and of each joint the largest inertia, the largest
-    gravity torque, and the largest squared norm of its row of the regressor.
+    """Posture with the best dexterity times distance to the limits times reserve of torque, and of each joint the
+    largest inertia, the largest gravity torque, and the largest squared norm of its row of the regressor.
 
     Dexterity is the least singular value of the tool's Jacobian, of its position if there are fewer than six joints,
     with lengths relative to the largest.
@@ -259,13 +262,15 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
     random, data = np.random.default_rng(0), chain.model.createData()
     ends = [_range(joint) for joint in chain.joints]
     lower, upper = np.array(ends).T
+    efforts = np.array([joint.effort if joint.effort > 0 else np.inf for joint in chain.joints])
     best, found = -1.0, (lower + upper) / 2
     inertia, torque, rows = np.zeros((3, chain.n))
     for q in (found, *random.uniform(lower, upper, (SAMPLES, chain.n))):
         configuration = pin_configuration(chain, q)
         pin.crba(chain.model, data, configuration)
         inertia = np.maximum(inertia, np.diag(data.M))
-        torque = np.maximum(torque, np.abs(pin.computeGeneralizedGravity(chain.model, data, configuration)))
+        weight = np.abs(pin.computeGeneralizedGravity(chain.model, data, configuration))
+        torque = np.maximum(torque, weight)
         motion = np.full(chain.n, SPEED), np.full(chain.n, ACCELERATION)
         # Pinocchio drops the axis of a single joint
         regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, *motion).reshape(chain.n, -1)
@@ -276,7 +281,8 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         ).reshape(6, -1)[:3]
         values = np.linalg.svd(jacobian, compute_uv=False)
         margin = np.min(np.minimum(q - lower, upper - q) / np.maximum(upper - lower, 1e-9))
-        score = values[min(chain.n, 3) - 1] / max(values[0], 1e-9) * min(1.0, 4 * margin)
+        reserve = min(1.0, EFFORT / max(float(np.max(weight / efforts)), 1e-9)) ** 2
+        score = values[min(chain.n, 3) - 1] / max(values[0], 1e-9) * min(1.0, 4 * margin) * reserve
         if score > best:
             best, found = score, q
     return np.round(found, 3), inertia, torque, rows
