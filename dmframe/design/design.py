@@ -239,7 +239,7 @@ def _simple(
     laws = {why: [law for law, other in reasons.items() if other == why] for why in reasons.values()}
     left = "; ".join(f"{listed(names)}: {why}" for why, names in laws.items())
     left = left or "each law without a model diverged on one of the plants"
-    lost = not any(math.isfinite(item.error) for item in found.ranking.candidates)
+    lost = not any(math.isfinite(item.error) for item in contest.ranking.candidates)
     if lost and (cause := obstacle(race, contest.hardest)):
         left = f"{left}; {cause}"
     return replace(found, reason=f"{why}; {left}", other=adaptive)
