@@ -1,9 +1,9 @@
 """`dmframe design` on many robots: ``python -m tests.benchmarks.designs ROBOT... --chains 100-119 --out DIR``.
 
 Designs one robot after another, each within a time limit, then runs and verifies the graph that was handed over. A
-robot is a name or a file; `--chains` adds random ones, by their seeds. Finished robots are kept in the folder, and the table is printed
-as Markdown. The exit status is 1 if a design ended in another way than adaptive, simple or blocked, took longer than
-its limit, or if its graph diverges or is not verified.
+robot is a name or a file; `--chains` adds random ones, by their seeds. Finished robots are kept in the folder, and the
+table is printed as Markdown. The exit status is 1 if a design ended in another way than adaptive, simple or blocked,
+took longer than its limit, or if its graph diverges or is not verified.
 """
 
 from __future__ import annotations
