@@ -40,6 +40,9 @@ ROTOR: Final = (0.4, 0.03)
 VISCOUS: Final = 1 / 40
 COULOMB: Final = 1 / 50
 """Friction relative to K_D, as that of a real UR10e to the servo of the packaged UR10 [-, rad/s]."""
+MOST_VISCOUS: Final = 0.15
+MOST_COULOMB: Final = 0.12
+"""Largest placeholders of friction relative to a joint's torque limit: a motor can turn its own joint [s/rad, -]."""
 PERIOD: Final = 0.008
 """Sampling period [s]."""
 STEP: Final = 0.2
@@ -186,6 +189,8 @@ def _text(
     rotor = _rotors(chain, links, armature)
     inertia = links + rotor
     K_D = np.maximum(RATE * inertia, weight / (RATIO_P * np.array([SAG[joint.kind] for joint in chain.joints])))
+    viscous = np.minimum(VISCOUS * K_D, MOST_VISCOUS * _efforts(chain))
+    coulomb = np.minimum(COULOMB * K_D, MOST_COULOMB * _efforts(chain))
     # a sample changes the command by w Y Gamma Y' sigma and by Lambda tau^2 sigma, times the period
     Gamma = STEP / PERIOD / np.max(rows / K_D)
     Lambda = STEP / PERIOD / np.maximum(weight + inertia, 1e-2 * weight.max()) ** 2
@@ -217,7 +222,7 @@ blocks:
              w: {_list(0.5 / K_D)}, w_P: 2, w_I: 0.7, w_box: {box}, w_P_box: [1, 3], w_I_box: [0.5, 2]}}
   # Placeholders, hidden from the controller: manufacturers do not publish them.
   servo:    {{type: pid_servo, K_D: {_list(K_D)}, K_P: {_list(RATIO_P * K_D)}, K_I: {_list(RATIO_I * K_D)}}}
-  arm:      {{type: manipulator, viscous: {_list(VISCOUS * K_D)}, coulomb: {_list(COULOMB * K_D)},
+  arm:      {{type: manipulator, viscous: {_list(viscous)}, coulomb: {_list(coulomb)},
              rotor: {_list(rotor)}}}
 # The same feedback gain without adaptation. Neither law is tuned; `dmframe design` compares tuned ones.
 baseline:
@@ -262,7 +267,7 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
     random, data = np.random.default_rng(0), chain.model.createData()
     ends = [_range(joint) for joint in chain.joints]
     lower, upper = np.array(ends).T
-    efforts = np.array([joint.effort if joint.effort > 0 else np.inf for joint in chain.joints])
+    efforts = _efforts(chain)
     best, found = -1.0, (lower + upper) / 2
     inertia, torque, rows = np.zeros((3, chain.n))
     for q in (found, *random.uniform(lower, upper, (SAMPLES, chain.n))):
@@ -286,6 +291,11 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         if score > best:
             best, found = score, q
     return np.round(found, 3), inertia, torque, rows
+
+
+def _efforts(chain: SerialChain) -> Column:
+    """Torque limits [N m, N]; infinite if there are none."""
+    return np.array([joint.effort if joint.effort > 0 else np.inf for joint in chain.joints])
 
 
 def _range(joint: Joint) -> tuple[float, float]:

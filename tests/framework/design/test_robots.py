@@ -21,7 +21,7 @@ from dmframe.design.obstacle import obstacle
 from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
 from dmframe.drive.limits import load_limits
-from dmframe.graph.first import EFFORT, first_graph
+from dmframe.graph.first import EFFORT, MOST_COULOMB, MOST_VISCOUS, first_graph
 from dmframe.race.read import load_race
 from dmframe.robot.chain import pin_configuration
 
@@ -117,8 +117,19 @@ def test_a_posture_is_chosen_in_which_each_joint_can_hold_the_arm(tmp_path: Path
     assert share[2.0] < EFFORT
 
 
+def test_assumed_friction_is_a_small_part_of_the_torque_limits(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(weak_robot("RRRR", 2.0))
+    first = first_graph(str(tmp_path / "arm.urdf"), tmp_path)
+    (tmp_path / FIRST).write_text(first.text)
+    arm = dm.load(tmp_path / FIRST).blocks["arm"]
+    np.testing.assert_allclose(arm.coulomb[0], 2.0 * MOST_COULOMB)
+    np.testing.assert_allclose(arm.viscous[0], 2.0 * MOST_VISCOUS)
+    (tmp_path / "arm.urdf").write_text(weak_robot("RRRR", 1000.0))
+    assert first_graph(str(tmp_path / "arm.urdf"), tmp_path).text.count("coulomb: [0.24,") == 0
+
+
 @pytest.mark.parametrize(
-    ("effort", "text"), [(0.5, "j1 is at its torque limit, 500 mN m, .* on the servo pid: .*--payload"), (200.0, "")]
+    ("effort", "text"), [(0.05, "j1 is at its torque limit, 50 mN m, .* on the servo pid: .*--payload"), (200.0, "")]
 )
 def test_a_joint_that_cannot_hold_the_arm_is_named_with_its_limit(effort: float, text: str, tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(weak_robot("RR", effort))
