@@ -241,7 +241,7 @@ def _simple(
     left = left or "each law without a model diverged on one of the plants"
     lost = not any(math.isfinite(item.error) for item in contest.ranking.candidates)
     if lost and (cause := obstacle(race, contest.hardest)):
-        left = f"{left}; {cause}"
+        return replace(found, reason=cause, other=None)
     return replace(found, reason=f"{why}; {left}", other=adaptive)
 
 

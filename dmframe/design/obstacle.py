@@ -31,7 +31,7 @@ def obstacle(race: Race, cell: Cell) -> str:
         return ""
     joint = graph.robot.joints[k]
     return (
-        f"{joint.name} is at its torque limit, {plain(joint.effort, 'N m')}, for {100 * shares[k]:.2g} % of a run with "
-        f"{law} on the servo {cell.plant}: correct the limit of effort in the robot's file if it is too small, or take "
-        "a smaller --payload"
+        f"each law diverges: {joint.name} is at its torque limit, {plain(joint.effort, 'N m')}, in "
+        f"{100 * shares[k]:.0f} % of the samples of a run with {law} on the servo {cell.plant}; correct the limit of "
+        "effort in the robot's file if it is too small, or take a smaller --payload"
     )

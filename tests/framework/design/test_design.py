@@ -216,6 +216,19 @@ def test_laws_that_fail_for_the_same_reason_are_listed_together(
     assert found.reason.endswith("; level and feedback: no limits; trend: too slow")
 
 
+@pytest.mark.parametrize("cause", ["", "a joint is at its torque limit"])
+def test_where_all_laws_diverge_the_reason_is_the_obstacle_if_one_is_found(
+    cause: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ranking = Ranking([candidate("level", [math.inf]), candidate("a", [math.inf], adaptive=True)], "mrad")
+    contest = SimpleNamespace(ranking=ranking, candidates=lambda adaptive: iter([]), hardest="cell")
+    monkeypatch.setattr(module, "obstacle", lambda race, cell: cause)
+    start = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    found = module._chosen(contest, None, None, None, start, Progress(lambda text: None))  # type: ignore[arg-type]
+    assert found.outcome == "blocked"
+    assert found.reason == cause or (not cause and "each law without a model diverged" in found.reason)
+
+
 def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path: Path) -> None:
     assert set_aside(tmp_path, "graph.yaml", "new") == []
     (tmp_path / "graph.yaml").write_text("edited")
