@@ -327,7 +327,7 @@ def test_a_loop_without_a_bound_says_why(name: str, reason: str) -> None:
 
 
 def test_the_refusal_for_a_tool_says_where_the_rank_is_lost() -> None:
-    """No position of the tool is beyond the boundary; that of the lengths alone is wider, by the offsets of the links."""
+    """No position of the tool is beyond the boundary; that of the lengths alone is wider, by the links' offsets."""
     graph = dm.load("ur10_fast")
     diagram, rng = graph.diagram, np.random.default_rng(2)
     tube = largest_tube(diagram, "path.x_d", 60.0)
