@@ -273,7 +273,7 @@ class _ErrorBounds:
         """The second bound of (3) in `dmframe.bounds.stored`, times the largest of 2 / A."""
         try:
             boxed = stored.boxed
-        except NoBoundError:
+        except (NoBoundError, ValueFault, UndecidedError):
             return replace(level, stored=inf)
         rho = ca.vertsplit(2 * ca.SX.ones(own.term.vector.shape[0]) / own.term.weight)
         shares = [(of, max(map(float, _summed(self._box.tops_of_products(x, rho))))) for of, x in boxed.boxes]
