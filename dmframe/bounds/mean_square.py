@@ -57,12 +57,14 @@ from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.certify.error_bound import ErrorBound, ErrorBounds, Kind, Share
 from dmframe.certify.form import stepping
+from dmframe.certify.reach import largest_tube
 from dmframe.certify.shell import largest_jacobian
 from dmframe.certify.symbols import symbols_of
 from dmframe.certify.tacit import pieces_of
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import Text, Written
+from dmframe.common.units import plain
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import Interval, as_float
 from dmframe.prove.definite import Number, lower, upper
@@ -152,15 +154,14 @@ class _ErrorBounds:
                 raise NoBoundError(f"V jumps where {leaf.name} does")
         found, missing, level = list[ErrorBound](), list[str](), self._level(self._servo())
         for consumer, _ in self._claim.cross_terms:
-            for error, unit, moved in self._errors(consumer):
+            for error, unit, moved, wanted in self._errors(consumer):
                 rate = self._lag(consumer, error)
                 own = list(self._stored(consumer, error, unit)) if rate is not None else []
                 if rate is not None:
                     candidates = [self._rms(level, consumer, error, unit, rate), *(x for x in own if x.kind == "rms")]
                     found.append(replace(min(candidates, key=_value), moved=moved))
                 else:
-                    why = "it is no first-order lag of the servo level's error; a least singular value of J is needed"
-                    missing.append(f"{consumer.block}: no bound on the mean square of {error.of}: {why}")
+                    missing.append(f"{consumer.block}: no bound on the mean square of {error.of}: {self._why(wanted)}")
                 candidates = [self._sup(level, error, unit), *(x for x in own if x.kind == "sup")]
                 found.append(replace(min(candidates, key=_value), moved=moved))
         found += list(_at_the_tool(self._claim, found))
@@ -194,8 +195,18 @@ class _ErrorBounds:
             raise NoBoundError(f"{servo.block}: its certificate does not state how a joint torque acts on V")
         return servo
 
-    def _errors(self, consumer: Part) -> Iterator[tuple[Square, str, float | None]]:
-        """Squares in the storage of a cascade whose vectors are tracking errors, with their units and `extent`."""
+    def _why(self, wanted: str) -> str:
+        """Why the error of a tool has no bound on its mean square, and by how much the tube is too wide."""
+        why = "it is no first-order lag of the servo level's error; a least singular value of J is needed"
+        tube = largest_tube(self._claim.diagram, wanted, self._over)
+        return (
+            why
+            if tube is None
+            else f"{why} on the tube that V allows, and J loses rank at most {plain(tube, 'm')} from the path"
+        )
+
+    def _errors(self, consumer: Part) -> Iterator[tuple[Square, str, float | None, str]]:
+        """Squares in a cascade's storage that are tracking errors: with unit, `extent`, name of the desired value."""
         units = {signal.label: signal.unit for signal in self._claim.loop.outputs}
         pairs = [(ca.vec(pair.found) - ca.vec(pair.wanted), pair) for pair in self._claim.loop.goals]
         for term in consumer.certificate.storage:
@@ -204,7 +215,7 @@ class _ErrorBounds:
                 for e, pair in fitting:
                     (joined,) = self._claim.loop.joined([e])
                     if any(self._symbols.vanishes("error", term.vector + sign * joined) for sign in (-1, 1)):
-                        yield term, units[pair.actual], extent(self._claim.loop, pair, self._over)
+                        yield term, units[pair.actual], extent(self._claim.loop, pair, self._over), pair.desired
                         break
 
     @cached_property
@@ -262,7 +273,7 @@ class _ErrorBounds:
         """The second bound of (3) in `dmframe.bounds.stored`, times the largest of 2 / A."""
         try:
             boxed = stored.boxed
-        except NoBoundError:
+        except (NoBoundError, ValueFault, UndecidedError):
             return replace(level, stored=inf)
         rho = ca.vertsplit(2 * ca.SX.ones(own.term.vector.shape[0]) / own.term.weight)
         shares = [(of, max(map(float, _summed(self._box.tops_of_products(x, rho))))) for of, x in boxed.boxes]

@@ -51,6 +51,7 @@ from dmframe.bounds.initial import Begin
 from dmframe.bounds.supremum import Box
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
+from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.form import stepping
 from dmframe.certify.symbols import Symbols
 from dmframe.common.text import Label, Text
@@ -98,15 +99,17 @@ class StoredErrors:
     def driven_by(self, signal: SX) -> Iterator[StoredError]:
         """Stored squares with dE/dt = -kappa E + signal."""
         for term in self._servo.certificate.storage:
-            if not isinstance(term, Square) or not ca.SX(term.weight).is_column() or term.vector.shape != signal.shape:
+            if not isinstance(term, Square) or term.vector.shape != signal.shape:
+                continue
+            if not ca.SX(term.weight).is_column() or not self._known(ca.SX(term.weight)):
                 continue
             rest = ca.densify(signal - self._claim.flow.unrecorded(term.vector))
             fitting = (x for x in self._rates(term.vector, rest) if self._vanishes(rest - x * term.vector))
             kappa = next(fitting, None)
             if kappa is not None:
-                squares = enumerate(self._servo.certificate.dissipation)
-                same = (k for k, each in squares if isinstance(each, Square) and self._same(each, term))
-                yield StoredError(term, kappa, next(same, None))
+                place = self._place(term)
+                known = place is None or self._known(ca.SX(self._servo.certificate.dissipation[place].weight))
+                yield StoredError(term, kappa, place if known else None)
 
     def _rates(self, vector: SX, rest: SX) -> Iterator[SX]:
         """Candidates of kappa in rest = kappa E, from the derivatives by states on which E depends as +-1."""
@@ -119,15 +122,15 @@ class StoredErrors:
                         yield kappa
 
     def _known(self, expression: SX) -> bool:
-        return symbols_in([expression]) <= self._numbers.known
+        return symbols_in(self._claim.loop.joined([expression])) <= self._numbers.known
 
     def _vanishes(self, expression: SX) -> bool:
         return self._symbols.vanishes("stored", ca.densify(self._claim.loop.joined([expression])[0]))
 
     def _same(self, one: Square, other: Square) -> bool:
-        if one.vector.shape != other.vector.shape or not ca.SX(one.weight).is_column():
-            return False
-        return any(self._vanishes(one.vector + sign * other.vector) for sign in (-1, 1))
+        first, second = one.pieces[0], other.pieces[0]
+        fitting = first.shape == second.shape and ca.SX(one.weight).is_column()
+        return fitting and any(self._vanishes(first + sign * second) for sign in (-1, 1))
 
     @cached_property
     def boxed(self) -> Bounded:
@@ -135,25 +138,37 @@ class StoredErrors:
 
         Raises `NoBoundError` if S contains a term that neither decays nor lies in a box.
         """
-        boxes, others, rates, ratio = list[tuple[Text, tuple[SX, ...]]](), list[SX](), list[float](), 0.0
+        boxes, others = list[tuple[Text, tuple[SX, ...]]](), list[SX]()
+        spent = dict[int, list[SX]]()
         for part in (part for part in self._claim.parts if not part.cascade):
             for term in part.stored:
                 held = self._held(part, term)
                 if held is not None:
                     boxes.append(held)
                     continue
-                if not isinstance(term, Square):
-                    raise NoBoundError(f"{part.block}: {term.of} does not decay")
+                place = self._place(term) if isinstance(term, Square) else None
+                if place is None or not isinstance(term, Square):
+                    raise NoBoundError(f"{part.block}: {term.of} neither decays nor is in a box")
                 others += self._begin.elements(term)
-                inertia = self._inertia(term)
-                if inertia is None:
-                    rates.append(self._decay(part, term))
-                else:
-                    ratio = max(ratio, inertia)
+                spent.setdefault(place, []).append(ca.SX(term.weight))
+        kinetic, rates, ratio = self._servo.dominating, list[float](), 0.0
+        for place, weights in spent.items():
+            if place < len(kinetic) and all(is_mass_matrix(self._claim, weight) for weight in weights):
+                W = kinetic[place].weight
+                ratio = max(ratio, sum(self._largest(ca.sum1(ca.diag(M) / W)) for M in weights))
+            else:
+                rates.append(self._decay(place, weights))
         if not rates:
             raise NoBoundError("no stored error decays")
         rate = min([*rates, *([1 / ratio] if ratio else [])])
         return Bounded(tuple(boxes), tuple(others), rate, 1 - rate * ratio / 2)
+
+    def _place(self, term: Square) -> int | None:
+        """Index of the dissipated square of the same vector."""
+        for k, each in enumerate(self._servo.certificate.dissipation):
+            if isinstance(each, Square) and self._same(each, term):
+                return k
+        return None
 
     def _held(self, part: Part, term: object) -> tuple[Text, tuple[SX, ...]] | None:
         """Upper bound of a term of an estimate in a box, element by element; None for another term."""
@@ -174,25 +189,20 @@ class StoredErrors:
                 return Text("the box of ", Label(projection.name)), tuple(ca.vertsplit(most * most * weight / 2))
         return None
 
-    def _decay(self, part: Part, term: Square) -> float:
-        """At most the rate at which V dissipates a stored square, relative to half of it."""
-        for each in self._servo.certificate.dissipation:
-            if isinstance(each, Square) and self._same(each, term):
-                weights = [ca.vertsplit(ca.SX(x.weight) * ca.SX.ones(term.vector.shape[0])) for x in (term, each)]
-                pairs = zip(weights[0], weights[1], strict=True)
-                return 2 / max(float(self._box.tops_of_products([A], [1 / W])[0][0]) for A, W in pairs)
-        raise NoBoundError(f"{part.block}: {term.of} neither decays nor is in a box")
+    def _decay(self, place: int, stored: Sequence[SX]) -> float:
+        """At most the rate at which V dissipates stored squares of one vector, relative to half of their sum.
 
-    def _inertia(self, term: Square) -> float | None:
-        """The trace of W^-1 M at most, for the kinetic term of a dissipated square; None for another term."""
-        M = self._claim.loop.joined([ca.SX(term.weight)])[0]
-        if M.is_column() or not M.is_square():
-            return None
-        for each in self._servo.dominating:
-            square = isinstance(each, Square) and each.vector.shape == term.vector.shape
-            if square and any(self._vanishes(each.pieces[0] + sign * term.vector) for sign in (-1, 1)):
-                return self._largest(ca.sum1(ca.diag(M) / each.weight))
-        return None
+        Raises `NoBoundError` if a torque acts on this vector: its dissipation is then needed against the torque.
+        """
+        shares, square = self._servo.certificate.disturbed, self._servo.certificate.dissipation[place]
+        if place < len(shares) and not ca.SX(shares[place]).is_zero():
+            raise NoBoundError(f"a torque acts on {square.of}")
+        ones = ca.SX.ones(square.pieces[0].shape[0])
+        A, W = sum((weight * ones for weight in stored), 0 * ones), square.weight * ones
+        if not self._known(ca.vertcat(A, W)):
+            raise NoBoundError(f"the weight of {square.of} is not constant")
+        pairs = zip(ca.vertsplit(A), ca.vertsplit(W), strict=True)
+        return 2 / max(float(self._box.tops_of_products([a], [1 / w])[0][0]) for a, w in pairs)
 
     def _largest(self, scalar: SX) -> float:
         """Upper end of a scalar that depends on the positions of revolute joints, over all of them."""

@@ -19,8 +19,10 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.bounds import error_bounds
 from dmframe.certify import Verdict, verify
 from dmframe.certify.error_bound import ErrorBound, ErrorBounds
+from dmframe.certify.reach import largest_tube
 from dmframe.certify.shell import largest_jacobian
 from dmframe.certify.summary import summary
+from dmframe.common.units import plain
 from dmframe.report.verdict_text import rounded_up, verdict_text
 from dmframe_blocks.pi_inverse import PiInverse
 
@@ -322,6 +324,25 @@ def test_a_loop_without_a_bound_says_why(name: str, reason: str) -> None:
     errors = bounds(dm.load(name))
     assert not [item for item in errors.found if item.kind == "rms"]
     assert any(reason in each for each in errors.missing)
+
+
+def test_the_refusal_for_a_tool_says_where_the_rank_is_lost() -> None:
+    """No position of the tool is beyond the boundary; that of the lengths alone is wider, by the links' offsets."""
+    graph = dm.load("ur10_fast")
+    diagram, rng = graph.diagram, np.random.default_rng(2)
+    tube = largest_tube(diagram, "path.x_d", 60.0)
+    assert tube is not None
+    chain, data = diagram.robot, diagram.robot.model.createData()
+    places = []
+    for q in rng.uniform(-np.pi, np.pi, (4000, 3)):
+        pin.framesForwardKinematics(chain.model, data, q)
+        places.append(data.oMf[chain.model_tool].translation.copy())
+    pin.framesForwardKinematics(chain.model, data, np.zeros(3))
+    away = np.linalg.norm(np.array(places) - data.oMi[1].translation, axis=1)
+    run = graph.run(until=7.0)
+    farthest = np.max(np.linalg.norm(np.asarray(run["path.x_d"]) - data.oMi[1].translation, axis=1))
+    assert np.max(away) - farthest < tube < 3 * (np.max(away) - farthest)
+    assert any(f"loses rank at most {plain(tube, 'm')}" in each for each in bounds(graph).missing)
 
 
 @pytest.mark.parametrize(

@@ -164,3 +164,39 @@ def test_a_leak_never_raises_a_bound(more: Mapping[str, Any], kind: str) -> None
     factor = {"largest": 0.6, "slow": 1.05}[kind]
     for each in with_leak.found:
         assert each.value < factor * plain[each.kind, each.unit]
+
+
+def decay_rates(graph: dm.Graph) -> list[float]:
+    """The rates mu at which S decays to what the boxes allow, as used in bounds."""
+    rates: list[float] = []
+    original = StoredErrors.boxed.func
+
+    def seen(self: Any) -> Any:
+        found = original(self)
+        rates.append(found.rate)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StoredErrors, "boxed", property(seen))
+        bounds(graph, verdict_of(graph), over=1e6, disturbance=5.0)
+    return rates
+
+
+def test_dissipation_is_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two halves of a stored square share its dissipation; one on which a torque acts is needed against the torque."""
+    graph = dm.load(PI).set(NEAR | {"dynamics.Gamma": 1000})
+    graph = graph.set(boxes(graph, 0.5))
+    (whole,) = decay_rates(graph)
+    assert 3.9 < whole <= 4.0  # twice K_c, at most
+    honest = PiInverse.certificate
+
+    def in_halves(*given: Any) -> Any:
+        stated = honest(*given)
+        (square,) = stated.storage
+        return replace(stated, storage=(half := Square(square.vector, square.weight / 2), half))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PiInverse, "certificate", in_halves)
+        assert decay_rates(graph) == pytest.approx([whole, whole], rel=1e-9)
+    monkeypatch.setattr(PiInverse, "certificate", lambda *given: replace(honest(*given), disturbed=(1, 1e-9)))
+    assert decay_rates(graph) == []
