@@ -209,9 +209,9 @@ globalThis.checker = (() => {
       need(this.places.size === this.symbols.length, "symbols");
       this.known = new Map(); // intervals of input nodes
       this.divided = [];
-      this.fixed = this.symbols.filter((item) => item.exact && item.size).map((item) => item.label);
+      this.fixed = this.symbols.filter((item) => item.exact).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
-      need(this.symbols.reduce((total, { size }) => total + size + 1, 0) < LARGEST, "size");
+      need(this.symbols.reduce((total, { size }) => total + size, 0) < LARGEST, "size");
       const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
       this.vectors = list(data.vectors).map((elements) => {
         need(list(elements).length, "an empty vector");
@@ -234,7 +234,7 @@ globalThis.checker = (() => {
       need(this.terms.some((item) => item.role === "stored"), "V");
     }
     readSymbol({ label, kind, size, numbers, exact }) {
-      need(KINDS.includes(kind) && whole(size) >= 0 &&
+      need(KINDS.includes(kind) && whole(size, 1) &&
         (numbers === null ? !exact : kind === "constant" && list(numbers).length === size), `${label}: its numbers`);
       numbers?.forEach((pair, k) => {
         const ends = pair.map(rational), [low, high] = ends.map(String);

@@ -70,15 +70,15 @@ class Node:
     __slots__ = ("name", "of", "value")
 
     def __new__(cls, name, *of, value=None):
-        key = name, of, value
+        key = name, frozenset(of) if name in ("add", "mul") else of, value
         if key not in NODES:
             need(len(NODES) < LARGEST, "too many expressions")
             NODES[key] = self = super().__new__(cls)
-            self.name, self.of, self.value = key
+            self.name, self.of, self.value = name, of, value
         return NODES[key]
 
     def __add__(self, other):
-        return other if self is ZERO else self if other is ZERO else Node("add", *in_order(self, other))
+        return other if self is ZERO else self if other is ZERO else Node("add", self, other)
 
     def __sub__(self, other):
         return self if other is ZERO else ZERO if self is other else Node("sub", self, other)
@@ -86,14 +86,10 @@ class Node:
     def __mul__(self, other):
         if ZERO in (self, other):
             return ZERO
-        return other if self is ONE else self if other is ONE else Node("mul", *in_order(self, other))
+        return other if self is ONE else self if other is ONE else Node("mul", self, other)
 
     def __truediv__(self, other):
         return self * inverse(other)
-
-
-def in_order(*nodes):
-    return sorted(nodes, key=id)
 
 
 def number(value):
@@ -104,7 +100,13 @@ def inverse(node):
     return ONE if node is ONE else Node("inv", node)
 
 
-BUILT = {**ARITHMETIC, "inv": inverse}
+def built(name, *of):
+    """The node of an operation."""
+    if name == "inv":
+        return inverse(*of)
+    return ARITHMETIC[name](*of) if name in ARITHMETIC else Node(name, *of)
+
+
 ZERO, ONE = Node("number", value=Fraction(0)), Node("number", value=Fraction(1))
 SLOPES = {  # derivatives of a function f by its operands
     "add": lambda f, x, y: [ONE, ONE],
@@ -146,11 +148,7 @@ def evaluate(nodes, call, values):
 
 def replaced(nodes, given):
     """The nodes with others in place of some."""
-
-    def call(node, *of):
-        return BUILT[node.name](*of) if node.name in BUILT else Node(node.name, *of, value=node.value)
-
-    return evaluate(nodes, call, dict(given))
+    return evaluate(nodes, lambda node, *of: built(node.name, *of) if of else node, dict(given))
 
 
 def rates(nodes, moves, found):
@@ -370,16 +368,16 @@ class Certificate:
     def read_symbols(self, items):
         """The nodes of each label."""
         found, self.kinds, self.numbers, self.fixed = {}, {}, {}, {}
-        for item in read(
-            items, [{"label": str, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}]
-        ):
+        shape = {"label": str, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}
+        items = read(items, [shape])
+        need(sum(item.size for item in items) < LARGEST, "too many symbols")
+        for item in items:
+            given = item.numbers is not None
+            need(item.size, f"{item.label}: no elements")
             need(item.label not in found, f"{item.label}: a symbol occurs twice")
-            need(item.numbers is None or item.kind == "constant", f"{item.label}: numbers of a {item.kind}")
-            need(item.numbers is not None or not item.exact, f"{item.label}: no numbers")
-            need(len(found) + sum(map(len, found.values())) + item.size < LARGEST, "too many symbols")
+            need(item.kind == "constant" if given else not item.exact, f"{item.label}: its numbers")
             nodes = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
             found[item.label], self.kinds[item.label] = nodes, item.kind
-            given = item.numbers is not None or item.exact
             for node, (lower, upper) in zip(nodes, item.numbers or (), strict=given):
                 need(lower == upper if item.exact else lower <= upper, f"{item.label}: its numbers")
                 self.numbers[node] = Interval(lower, upper)
@@ -399,8 +397,7 @@ class Certificate:
                 nodes.append(at(self.symbols[at(labels, first)], second))
             else:
                 x, y = at(nodes, first + 1), at(nodes, second + 1)
-                own = Node(name, x) if name in UNARY else Node(name, x, y)
-                nodes.append(ARITHMETIC[name](x, y) if name in ARITHMETIC else own)
+                nodes.append(built(name, x) if name in UNARY else built(name, x, y))
                 self.divided += [inverse(y)] * (name == "div")  # a divisor must not vanish, even in a part times 0
         return nodes
 

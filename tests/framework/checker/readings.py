@@ -91,8 +91,12 @@ def _lists() -> Iterator[Attack]:
         }
         file.data[key].append(items[key])
         yield f"an empty vector of {key}", file.data, "refused"
+    for kind, numbers, exact in (("time", None, False), ("state", None, False), ("constant", [], True)):
+        data = stable().data
+        item = {"label": "y", "kind": kind, "size": 0, "numbers": numbers, "exact": exact}
+        yield f"a {kind} without elements", {**data, "symbols": [*data["symbols"], item]}, "refused"
     file = stable()
-    file.symbol("K", "constant", size=0, exact=True)
+    file.symbol("K", "constant", exact=True)
     yield "an exact constant without numbers", file.data, "refused"
 
 
