@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from dmframe.config.registry import Registry
 
 SCHEMA = "dmframe.schema.json"
-NEW = (1, 7)
-"""Axes of a robot for which `new` writes a graph; the laws of `design` are for 4 to 7."""
 """Schema file next to a new graph; the YAML server of an editor finds it by the graph's first line."""
+NEW = (1, 7)
+"""Axes of a robot for which `new` writes a graph."""
 
 
 def graphs(as_json: Listed = False) -> None:

@@ -57,7 +57,7 @@ def rehearsed(graph: Graph, candidate: Candidate, found: Designed, progress: Pro
         write_text(file, json.dumps({**kept, "key": key}, indent=1) + "\n")
     if candidate.adaptive or kept["passed"]:
         passed = bool(kept["passed"])
-        return Check("rehearsal", "passed under all conditions" if passed else _failure(kept), passed)
+        return Check("rehearsal", f"passed under all conditions{_ideal(kept)}" if passed else _failure(kept), passed)
     lost = [row for row in kept["conditions"] if row["needed"] and (row["rms"] is None or not row["rms"] <= LIMIT)]
     if lost:
         how = "is stopped" if lost[0]["rms"] is None else f"has an error of {plain(lost[0]['rms'], kept['unit'])}"
@@ -65,7 +65,13 @@ def rehearsed(graph: Graph, candidate: Candidate, found: Designed, progress: Pro
     text = (
         f"{candidate.law} is not stopped, and its error is at most {plain(LIMIT, kept['unit'])}, under all conditions"
     )
-    return Check("rehearsal", f"{text}; as a controller for a drive {_failure(kept)}", passed=True)
+    return Check("rehearsal", f"{text}{_ideal(kept)}; as a controller for a drive {_failure(kept)}", passed=True)
+
+
+def _ideal(kept: dict[str, Any]) -> str:
+    """Error on the robot of the graph."""
+    rms = next((row["rms"] for row in kept["conditions"]), None)
+    return "" if rms is None else f"; on the ideal robot its error is {plain(rms, kept['unit'])}"
 
 
 def _failure(kept: dict[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -11,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from dmframe.build.compiler import find_compiler
-from dmframe.common.errors import RobotError, ValueFault
+from dmframe.common.errors import RobotError, ValueFault, listed
 from dmframe.common.files import write_text, writing
 from dmframe.design.checks import checks_of
 from dmframe.design.contest import Contest
@@ -21,6 +22,7 @@ from dmframe.design.family import Family, identified, makers
 from dmframe.design.handover import command_of, handed_over, set_aside
 from dmframe.design.limits import limits_text
 from dmframe.design.motion import Motion, first_path, motion_of, own_motion, tool_motion
+from dmframe.design.obstacle import obstacle
 from dmframe.design.path_file import PathFile, read_path
 from dmframe.design.points import points_of
 from dmframe.design.progress import Progress, Say
@@ -41,10 +43,14 @@ from dmframe.study.execute import State
 
 LOG: Final = "identified"
 """Folder of an identification."""
+AXES: Final = (2, 7)
+"""Least and most moving joints of a robot file."""
 TWIN: Final = "twin.urdf"
 """The identified robot."""
 LOAD: Final = ("payload", "payload_at")
 """Parameters of the arm that the handed-over graph does not have."""
+
+PARTLY: Final = "are proved, and the stability of the loop is tested by runs alone"
 
 
 def design(request: Request, out: str | Path, *, workers: int | None = None, say: Say = lambda text: None) -> Designed:
@@ -83,14 +89,10 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
     if find_compiler() is None:
         return replace(found, reason="there is no C compiler, without which the comparison takes hours; install gcc")
     progress.say("robot", "reading the robot")
-    first = first_graph(request.robot, found.folder, request.tool, dict(request.hold))
+    first = first_graph(request.robot, found.folder, request.tool, dict(request.hold), axes=AXES)
     found = replace(found, assumed=first.notes)
     chain = _saved(first, found.folder)
-    if sliding := [joint.name for joint in chain.joints if joint.kind == "prismatic"]:
-        reason = (
-            f"{sliding[0]} is a prismatic joint, and a robot with one cannot be rehearsed; hold it with --hold "
-            f"{sliding[0]}=POSITION"
-        )
+    if reason := _sliding(chain):
         return replace(found, reason=reason)
     path = None if request.path is None else read_path(request.path, chain)
     found = replace(found, task=request.task or (path.kind if path else "joints"))
@@ -119,6 +121,21 @@ def _designed(request: Request, found: Designed, workers: int | None, progress: 
     finished = _raced(first, family, motion, found, workers, progress)
     contest = Contest(finished, (finished.race.file.entrant, ADAPTIVE), workers)
     return _chosen(contest, finished.race, motion, family, replace(found, ranking=contest.ranking), progress)
+
+
+def _sliding(chain: SerialChain) -> str:
+    """Why a robot with prismatic joints gets no controller, and what to do; empty for another robot."""
+    names = [joint.name for joint in chain.joints if joint.kind == "prismatic"]
+    if not names:
+        return ""
+    many = len(names) > 1
+    why = f"joint{'s' * many} {listed(names)} {'are' if many else 'is'} prismatic, and such a robot cannot be rehearsed"
+    if chain.n - len(names) < AXES[0]:
+        return (
+            f"{why}; without {'them' if many else 'it'} {chain.n - len(names)} of at least {AXES[0]} joints would move"
+        )
+    words = [word for name in names for word in ("--hold", f"{name}=POSITION")]
+    return f"{why}; hold {'them' if many else 'it'} with {shlex.join(words)}"
 
 
 def _saved(first: FirstGraph, folder: Path) -> SerialChain:
@@ -192,7 +209,8 @@ def _chosen(
         checks = list(checks_of(graph, candidate, found, progress))
         failed = [check for check in checks if not check.passed]
         if not failed:
-            reason = f"{_against(candidate, simple, found.unit)}; {checks[0].text}"
+            proof = "the loop is proved" if checks[0].whole else f"the estimates of {candidate.law} {PARTLY}"
+            reason = f"{_against(candidate, simple, found.unit)}; {proof}"
             designed = replace(found, outcome="adaptive", reason=reason)
             return handed_over(graph, designed, candidate, simple, checks, progress)
         reasons.setdefault(candidate.law, f"{candidate.law} has a smaller error, but {failed[0].text}")
@@ -213,12 +231,17 @@ def _simple(
         graph = _graph_of(race, candidate, motion, family)
         checks = list(checks_of(graph, candidate, found, progress))
         if failed := [check for check in checks if not check.passed]:
-            reasons.setdefault(candidate.law, f"{candidate.law}: {failed[0].text}")
+            reasons.setdefault(candidate.law, failed[0].text)
             continue
         reason = f"take {candidate.law}, with {_error(candidate, found.unit)}: {why}"
         found = replace(found, outcome="simple", reason=reason, ranking=found.ranking.including(candidate))
         return handed_over(graph, found, candidate, adaptive, checks, progress)
-    left = "; ".join(reasons.values()) or "each law without a model diverged on one of the plants"
+    laws = {why: [law for law, other in reasons.items() if other == why] for why in reasons.values()}
+    left = "; ".join(f"{listed(names)}: {why}" for why, names in laws.items())
+    left = left or "each law without a model diverged on one of the plants"
+    lost = not any(math.isfinite(item.error) for item in contest.ranking.candidates)
+    if lost and (cause := obstacle(race, contest.hardest)):
+        return replace(found, reason=cause, other=None)
     return replace(found, reason=f"{why}; {left}", other=adaptive)
 
 
@@ -239,10 +262,10 @@ def _moving_mass(chain: SerialChain) -> float:
 
 
 def _against(chosen: Candidate, simple: Candidate | None, unit: str) -> str:
-    own = f"{chosen.law} has {_error(chosen, unit)}"
+    own = f"{chosen.law} has {_error(chosen, unit)} on {len(chosen.errors)} pairs of a servo and a path"
     if simple is None:
         return f"{own}, where each law without a model diverged"
-    return f"{own}, the best law without a model, {simple.law}, {_error(simple, unit)}"
+    return f"{own}; {simple.law}, the best law without a model, has {_error(simple, unit)}"
 
 
 def _error(candidate: Candidate, unit: str) -> str:

@@ -98,15 +98,18 @@ def _earlier(folder: Path) -> Path:
 def commands(found: Designed) -> str:
     """The commands that repeat a design."""
     folder, graph = shlex.quote(str(found.folder)), shlex.quote(str(found.graph))
-    lines = [
-        found.command,
-        f"dmframe race {folder}/{RACE} --out {folder}/{RESULTS}",
-        f"dmframe verify {graph}",
-        f"dmframe analyse {graph}",
-        f"dmframe rehearse {graph} --until {REHEARSED:g} --payload '{found.payload:.6g} kg' --limits {folder}/{LIMITS}",
-        f"dmframe run {graph}",
-    ]
-    return "\n".join(lines) + "\n"
+    limits = f"--limits {folder}/{LIMITS}"
+    lines = {
+        "all of it": found.command,
+        "the comparison of the laws": f"dmframe race {folder}/{RACE} --out {folder}/{RESULTS}",
+        "the proof": f"dmframe verify {graph}",
+        "the linearised loop": f"dmframe analyse {graph}",
+        "delay, jitter, lost samples and the load": f"dmframe rehearse {graph} --until {REHEARSED:g} --payload "
+        f"'{found.payload:.6g} kg' {limits}",
+        "a run": f"dmframe run {graph}",
+        "the virtual robot": f"dmframe drive {graph} --robot sim {limits}",
+    }
+    return "".join(f"# {about}\n{line}\n" for about, line in lines.items())
 
 
 def command_of(request: Request, out: str | Path) -> str:

@@ -29,12 +29,17 @@ def limits_text(motion: Motion, chain: SerialChain) -> str:
     fast = np.minimum(np.maximum(FASTER * motion.rates, LEAST), speeds(chain))
     data = {
         "dmframe-limits": 1,
-        "speed": {name: _number(value) for name, value in zip(names, fast, strict=True)},
+        "speed": {name: _inside(value, -1) for name, value in zip(names, fast, strict=True)},
         "acceleration": ACCELERATION,
-        "position": {name: [_number(a), _number(b)] for name, a, b in zip(names, low, high, strict=True)},
+        "position": {name: [_inside(a, 1), _inside(b, -1)] for name, a, b in zip(names, low, high, strict=True)},
     }
     return dumped(data)
 
 
-def _number(value: float) -> float:
-    return float(f"{value:.6g}")
+def _inside(value: float, way: float) -> float:
+    """Round to the fewest significant digits, six or more, that lead in the direction `way`.
+
+    Rounded to the nearest number, a limit could be outside of that of the robot, which is refused.
+    """
+    rounded = (float(f"{value:.{digits}g}") for digits in range(6, 18))
+    return next(found for found in rounded if way * (found - value) >= 0)

@@ -13,6 +13,15 @@ from dmframe.design.family import HELD_OUT, TRAINING, Kind
 from dmframe.report.parts import Badge, Bullets, Cell, Lead, Marked, Paragraph, Section, Table, Word
 from dmframe.study.pages import study_page
 
+LAWS: Final = {
+    "feedback": "proportional feedback of the joint errors, with prediction over the delay",
+    "level": "feedback, and an observer of a constant disturbance",
+    "trend": "feedback, and an observer of a disturbance that changes at a constant rate",
+    "repetitive": "feedback, and a Fourier series of the disturbance on a path of known rate",
+    "experts": "identified delay and servo, and corrections weighted by their past errors",
+    "adaptive": "adaptive dynamics and inverse of the servo, the law of first.yaml",
+}
+"""What each law is."""
 _LEADS: Final = {"adaptive": "proved", "simple": "not_applicable", "blocked": "refuted"}
 
 
@@ -35,7 +44,7 @@ def _sections(found: Designed) -> Iterator[Section]:
     if found.ranking is not None and not found.log:
         yield Section("plants", "The servos", [_plants(), Paragraph(Marked(_assumed()), note=True)])
     if found.files:
-        rows: list[list[Cell]] = [[Word(name, "code"), about] for name, about in found.files]
+        rows: list[list[Cell]] = [[Word(name, "file"), about] for name, about in found.files]
         yield Section("files", "The files", [Table(rows, ["file", "what it is"], "In the folder of this page.")])
     again: Cell = (Word(found.command, "command"), " continues this design, or repeats it in another folder")
     yield Section("again", "To repeat it", [Bullets([again])])
@@ -46,14 +55,15 @@ def _laws(found: Designed) -> Table:
     rows = list[list[Cell]]()
     for item in sorted(found.ranking.candidates, key=lambda item: (item.score, item.law)):
         values = ", ".join(f"{label} = {value:.3g}" for label, value in item.values.items()) or "all rejected"
-        own: Cell = Word(item.law, "code")
-        named: Cell = (Word(item.law, "code"), " ", Badge("handed over", "proved")) if item is found.chosen else own
+        own = (Word(item.law, "code"), Word(LAWS.get(item.law, ""), "next"))
+        named: Cell = (own[0], " ", Badge("handed over", "proved"), own[1]) if item is found.chosen else own
         kind = "adaptive" if item.adaptive else "without a model"
         rows.append([named, kind, _number(item.error), _number(_worst(item)), str(_lost(item)), values])
     unit = found.unit
     heads: list[Cell] = ["law", "kind", f"median, {unit}", f"largest, {unit}", "diverged", "tuned values"]
     count = len(found.ranking.candidates[0].errors)
-    caption = f"RMS error over the last eighth of {found.seconds:g} s, on {count} cells on which no law was tuned."
+    cells = f"{count} cells: pairs of a servo and a path on which no law was tuned"
+    caption = f"RMS error over the last eighth of {found.seconds:g} s, on {cells}."
     return Table(rows, heads, caption, kind="study", keys=True, numbers=(2, 3, 4))
 
 

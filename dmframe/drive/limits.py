@@ -143,8 +143,8 @@ class _Reader:
             if pair[0] < lower[k] or pair[1] > upper[k]:
                 self._note(
                     ("position", name),
-                    f"expected angles within the robot's {plain(lower[k], 'rad')} to {plain(upper[k], 'rad')}, "
-                    f"found {plain(pair[0], 'rad')} to {plain(pair[1], 'rad')}",
+                    f"expected angles within the robot's {lower[k]:.9g} to {upper[k]:.9g} rad, "
+                    f"found {pair[0]:.9g} to {pair[1]:.9g} rad",
                 )
             lower[k], upper[k] = pair
         box = np.array([[-math.inf] * len(self.axes), [math.inf] * len(self.axes)])
@@ -169,7 +169,7 @@ class _Reader:
                 continue
             k, number = joints.index(name), self._positive(value, unit, (key, name))
             if number is not None and number > found[k]:
-                text = f"expected at most {plain(found[k], unit)}, the robot's limit, found {plain(number, unit)}"
+                text = f"expected at most {found[k]:.9g} {unit}, the robot's limit, found {number:.9g} {unit}"
                 self._note((key, name), text)
             elif number is not None:
                 found[k] = number

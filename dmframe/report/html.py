@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Final, assert_never, final
+from urllib.parse import quote
 
 from dmframe.common.exponents import typeset
 from dmframe.common.notebook import embedded
@@ -35,7 +36,7 @@ from dmframe.report.tags import Html, joined, plain, tag
 
 SHORT: Final = 48
 """Length [characters of LaTeX] up to which a formula in a sentence is not broken."""
-VERBATIM: Final = ("code", "command", "long")
+VERBATIM: Final = ("code", "command", "file", "long")
 """Kinds of words that are printed as they are."""
 _EMPTY: Final = Html("")
 
@@ -56,6 +57,8 @@ def _piece(piece: Piece) -> Html:
             return tag("span", mathml(latex, display=True), class_="signal")
         case Formula(latex, how):
             return tag("span", breakable(latex, display=how == "display"), class_="f")
+        case Word(str() as text, "file"):
+            return tag("a", tag("code", plain(text)), href=quote(text))
         case Word(str() as text, kind) if kind in VERBATIM:
             return _word(plain(text), kind)
         case Word():

@@ -104,7 +104,7 @@ def plain(text: str) -> str:
 
 def _word(text: str, kind: str) -> str:
     match kind:
-        case "code" | "command":
+        case "code" | "command" | "file":
             return f"`{text}`"
         case "strong":
             return f"**{text}**"

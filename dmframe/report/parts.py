@@ -48,11 +48,11 @@ class Word:
     """Text with a style.
 
     `long`: without blanks, may break anywhere; `strong`: warning; `small`: remark; `next`: remark on its own line;
-    `command`: long code.
+    `command`: long code; `file`: file next to the page.
     """
 
     text: str | Marked
-    kind: Literal["code", "command", "long", "strong", "small", "next"]
+    kind: Literal["code", "command", "file", "long", "strong", "small", "next"]
 
 
 @final

@@ -28,6 +28,13 @@ SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 UNIT: Final = "unknown"
 """Unit of V if it has several units or none was derived."""
 
+EXPLAINED: Final = frozenset({"residual", "sampling", "channels", "log"})
+"""Possible causes of a rise of V that do not violate an assumption of the certificate."""
+
+SLIGHT: Final = 1e-3
+"""Rise of V, as a fraction of its fall, up to which a notice is omitted where the certificate explains it: the bound on
+each error that follows from V(0), the square root of V over a weight, increases by at most half of this fraction."""
+
 
 @final
 @dataclass(frozen=True)
@@ -104,10 +111,10 @@ class Storage:
 
     @property
     def notice(self) -> str:
-        """Warning about a rise of V with possible causes, or about a non-positive assumed weight; may be empty."""
+        """Warning about a rise of V, or about a non-positive assumed weight; may be empty. See `SLIGHT`."""
         climb, jumps = self.along.climb, [jump for jump in self.along.jumps if jump.change > 0]
         notes = list(self.along.notes)
-        if climb.rise:
+        if climb.rise and not self._slight:
             fraction = "it never fell below its start" if climb.fraction is None else (
                 f"{100 * climb.fraction:.3g} % of its fall, which is {climb.fall:.3g}"
             )  # fmt: skip
@@ -127,6 +134,12 @@ class Storage:
             more = f" and {len(jumps) - 3} more times" if len(jumps) > 3 else ""
             notes.append(f"steps of a source raised V by {where}{more} at constant states")
         return "; ".join(notes)
+
+    @property
+    def _slight(self) -> bool:
+        """True for a small rise that the sampling period or the residual of the certificate explains."""
+        fraction = self.along.climb.fraction
+        return fraction is not None and fraction <= SLIGHT and self.causes.keys() <= EXPLAINED
 
     @property
     def _instants(self) -> str:

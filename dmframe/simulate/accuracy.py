@@ -28,6 +28,7 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.common.errors import ValueFault
 from dmframe.common.units import plain
 from dmframe.diagram import Diagram, Variable
+from dmframe.program.program import codes
 from dmframe.simulate.engine import CHUNK, Choice, Compiled, Engine, Stuck, choose, work_of, worth
 from dmframe.simulate.recording import Estimate, Recording
 from dmframe.simulate.solver import FIXED, MOST_SUBSTEPS, Method
@@ -296,10 +297,7 @@ class Pilot:
     @property
     def _rounds(self) -> bool:
         """True without an accuracy in the graph if its law rounds, which turns any error into quanta."""
-        sample = self.base.step.parts.sample
-        return not self.base.solver.free and any(
-            sample.instruction_id(k) in _ROUNDING for k in range(sample.n_instructions())
-        )
+        return not self.base.solver.free and not _ROUNDING.isdisjoint(codes(self.base.step.parts.sample))
 
     def _missed(self, found: Recording, estimate: Estimate, accuracy: float, *, written: bool) -> Recording:
         """The recording with a notice that it misses the accuracy, if that was stated or steps were tried."""

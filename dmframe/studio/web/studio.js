@@ -17,6 +17,15 @@ function make(name, given = {}, ...inner) {
   return made;
 }
 
+// A text with indices as subscripts, as pieces for `make`: q_d as q and subscript d. Names such as dynamics.a_d_hat stay.
+function typeset(text) {
+  return text.split(/((?<![\p{L}\d_.])\p{L}[\u0300-\u036f]*_(?:\p{L}+\d*|\d+|⋆))(?![\p{L}_])/u).map((piece, k) => {
+    if (k % 2 === 0) return piece;
+    const [base, index] = piece.split("_");
+    return make("span", {}, base, make("sub", {}, index));
+  });
+}
+
 async function answered(path, body) {
   const answer = await fetch(path, body === undefined ? {} : { method: "POST", body: JSON.stringify(body), headers: { "Content-Type": "application/json" } });
   if (!answer.ok && ![409, 422].includes(answer.status)) throw new Error((await answer.text()).trim());
@@ -137,8 +146,8 @@ function waits(what) {
 function settled(state, headline, detail) {
   clearInterval(clock);
   find("verdict").className = state;
-  find("headline").textContent = headline;
-  find("detail").textContent = detail;
+  find("headline").replaceChildren(...typeset(headline));
+  find("detail").replaceChildren(...typeset(detail));
 }
 
 function fails(headline, detail) {
@@ -193,7 +202,7 @@ function showVerdict({ outcome, headline, restriction, reason, blocks, condition
   const proved = outcome === "proved", follows = conclusions.length ? ` It follows that ${conclusions.join(" and that ")}.` : "";
   settled(proved ? "proved" : "failed", capital(headline), `${restriction ? `${restriction}. ` : ""}${capital(reason)}.${follows}${blocks.length ? ` Block${blocks.length > 1 ? "s" : ""}: ${blocks.join(", ")}.` : ""}`);
   find("conditions").replaceChildren(...conditions.map(({ name, margin, holds, how }) => make("tr", { class: holds ? "yes" : "no" },
-    ...[name, margin ?? "", holds ? (how === "sampled" ? "sampled, not proved" : "holds") : "fails"].map((cell) => make("td", {}, cell)))));
+    ...[name, margin ?? "", holds ? (how === "sampled" ? "sampled, not proved" : "holds") : "fails"].map((cell) => make("td", {}, ...typeset(cell))))));
   find("whole").textContent = whole;
   find("more").hidden = false;
   mark(blocks);

@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
+from dmframe.config.cached_robot import FOLDER as ROBOTS
+from dmframe.remembered.store import FOLDER as VERDICTS
+
 
 def libraries(cache: Path) -> list[Path]:
-    """All entries except folders, sorted."""
-    return sorted(path for path in cache.iterdir() if not path.is_dir())
+    """All entries except the folders of robots and of verdicts, sorted."""
+    return sorted(path for path in cache.iterdir() if path.name not in (ROBOTS, VERDICTS))

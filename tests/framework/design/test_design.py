@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,17 +14,17 @@ from typer.testing import CliRunner
 
 import dmframe as dm
 from dmframe.cli.app import app
-from dmframe.common.errors import DmframeError, UnknownNameError
+from dmframe.common.errors import DmframeError
 from dmframe.design import design as module
 from dmframe.design.checks import rehearsed
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, Ranking, worth
 from dmframe.design.designed import Check, Designed, graph_name
 from dmframe.design.family import HELD_OUT, TRAINING, makers
-from dmframe.design.handover import set_aside
+from dmframe.design.handover import commands, set_aside
 from dmframe.design.motion import ACCELERATION, AGAIN, NEVER, motion_of, tool_motion
 from dmframe.design.motion import TRAINING as TRAINED
-from dmframe.design.page import as_html
+from dmframe.design.page import LAWS, as_html
 from dmframe.design.progress import STAGES, Progress
 from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
@@ -91,7 +92,7 @@ def test_the_race_of_a_robot_has_all_laws_and_no_held_out_cell_in_training(first
     text = race_text(first, makers(first, 0.1, 48.0), motion_of(first), 0.008)
     (tmp_path / "race.yaml").write_text(text)
     race = load_race(tmp_path / "race.yaml")
-    assert set(race.file.laws) == {"feedback", "level", "trend", "repetitive", "experts", "adaptive"}
+    assert set(race.file.laws) == {"feedback", "level", "trend", "repetitive", "experts", "adaptive"} == set(LAWS)
     assert len(race.held_out) == len(HELD_OUT) * 2
     assert not {(c.plant, c.path) for c in race.held_out} & {(c.plant, c.path) for c in race.training}
     assert (race.file.base_unit, race.file.unit) == ("rad", "mrad")
@@ -201,6 +202,33 @@ def test_the_reason_against_the_best_adaptive_law_is_that_of_its_best_values(
     assert "a has a smaller error, but fails 0.5; the error of b is 4 of that of s" in found.reason
 
 
+def test_laws_that_fail_for_the_same_reason_are_listed_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    laws = [candidate("level", [1.0]), candidate("trend", [2.0]), candidate("feedback", [3.0])]
+    contest = SimpleNamespace(ranking=Ranking(laws, "mrad"), candidates=lambda adaptive: iter([] if adaptive else laws))
+    why = {"level": "no limits", "trend": "too slow", "feedback": "no limits"}
+    monkeypatch.setattr(module, "_graph_of", lambda race, item, *_: item)
+    monkeypatch.setattr(module, "checks_of", lambda graph, item, *_: [Check("c", why[item.law], passed=False)])
+    start = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    found = module._chosen(contest, None, None, None, start, Progress(lambda text: None))  # type: ignore[arg-type]
+    assert found.outcome == "blocked"
+    assert found.reason.endswith("; level and feedback: no limits; trend: too slow")
+
+
+@pytest.mark.parametrize("cause", ["", "a joint is at its torque limit"])
+def test_where_all_laws_diverge_the_reason_is_the_obstacle_if_one_is_found(
+    cause: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ranking = Ranking([candidate("level", [math.inf]), candidate("a", [math.inf], adaptive=True)], "mrad")
+    contest = SimpleNamespace(ranking=ranking, candidates=lambda adaptive: iter([]), hardest="cell")
+    monkeypatch.setattr(module, "obstacle", lambda race, cell: cause)
+    start = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    found = module._chosen(contest, None, None, None, start, Progress(lambda text: None))  # type: ignore[arg-type]
+    assert found.outcome == "blocked"
+    assert found.reason == cause or (not cause and "each law without a model diverged" in found.reason)
+
+
 def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path: Path) -> None:
     assert set_aside(tmp_path, "graph.yaml", "new") == []
     (tmp_path / "graph.yaml").write_text("edited")
@@ -218,6 +246,25 @@ def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path
     (tmp_path / "arm_experts_8ms.yaml").write_text("same")
     assert set_aside(tmp_path, "arm_experts_8ms.yaml", "same") == []
     assert set_aside(tmp_path, "arm_level_8ms.yaml", "same")[0][0] == "before/3/arm_experts_8ms.yaml"
+
+
+def test_each_command_that_repeats_a_design_is_one_that_exists(tmp_path: Path) -> None:
+    chosen = candidate("experts", [1.0], adaptive=True)
+    found = Designed("adaptive", "r", tmp_path / "a b", "arm", 0.008, 1.5, chosen=chosen, command="dmframe design arm")
+    lines = commands(found).splitlines()
+    assert len(lines) == 14
+    assert all(line.startswith("# ") for line in lines[::2])
+    words = [shlex.split(line) for line in lines[1::2]]
+    assert [line[1] for line in words] == ["design", "race", "verify", "analyse", "rehearse", "run", "drive"]
+    for _, name, *rest in words:
+        shown = " ".join(CliRunner().invoke(app, [name, "--help"]).stdout.split())
+        assert {word for word in rest if word.startswith("--") and word not in shown} == set()
+        assert "a b" in " ".join(rest) or name == "design"
+
+
+def test_the_report_links_the_files_next_to_it(tmp_path: Path) -> None:
+    found = Designed("simple", "r", tmp_path, "arm", 0.008, 1.5, files=[("a b/report.html", "what it is")])
+    assert '<a href="a%20b/report.html"><code>a b/report.html</code></a>' in as_html(found)
 
 
 def test_a_graph_is_named_after_robot_law_and_clock() -> None:
@@ -238,35 +285,6 @@ def test_the_rest_is_estimated_from_what_was_done_since_the_start(monkeypatch: p
     progress.keep("comparison")  # by an earlier command, at once
     progress.say("proof", "proving")
     assert said[-1] == f"proving; about {(left - STAGES['comparison']) / 60:.0f} min left in all"
-
-
-def test_a_robot_that_is_no_arm_is_blocked_and_an_unknown_one_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError):
-        module.design(Request.of("ur55"), tmp_path / "unknown")
-    urdf = tmp_path / "one.urdf"
-    urdf.write_text(
-        '<robot name="one"><link name="base"/><link name="tip"/><joint name="j" type="revolute"><parent link="base"/>'
-        '<child link="tip"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
-    )
-    found = module.design(Request.of(str(urdf)), tmp_path / "few")
-    assert found.outcome == "blocked"
-    assert "expected an arm with 4 to 7" in found.reason
-    assert json.loads((tmp_path / "few" / "design.json").read_text())["outcome"] == "blocked"
-
-
-def test_an_arm_with_a_prismatic_joint_is_blocked_at_once_with_the_remedy(tmp_path: Path) -> None:
-    text = '<robot name="made"><link name="l0"/>'
-    for k in range(1, 6):
-        kind = "prismatic" if k == 3 else "revolute"
-        text += (
-            f'<link name="l{k}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-            f'</inertial></link><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/><child link="l{k}"/>'
-            f'<origin xyz="0.2 0 0.1"/><axis xyz="{k % 2} 0 {1 - k % 2}"/>'
-            '<limit lower="-1" upper="1" velocity="1" effort="100"/></joint>'
-        )
-    (tmp_path / "scara.urdf").write_text(f"{text}</robot>")
-    found = module.design(Request.of(str(tmp_path / "scara.urdf")), tmp_path / "d")
-    assert (found.outcome, "hold it with --hold j3=POSITION" in found.reason) == ("blocked", True)
 
 
 class Rehearsing:

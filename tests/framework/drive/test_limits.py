@@ -77,7 +77,7 @@ def test_all_faults_are_reported_at_once_with_their_places(tmp_path: Path) -> No
             "2:31: speed.elbow_jiont: unknown joint; did you mean elbow_joint?",
             "3:15: acceleration: expected a number for each joint, found none for shoulder_pan_joint",
             "3:29: acceleration.elbow_joint: expected a positive number in rad/s^2, found -4",
-            "5:16: position.elbow_joint: expected angles within the robot's -3.14 rad to 3.14 rad",
+            "5:16: position.elbow_joint: expected angles within the robot's -3.14159265 to 3.14159265 rad",
             "6:23: position.shoulder_pan_joint: expected the minimum first",
             "7:7: box.w: unknown coordinate; choose from x, y, z",
             "7:21: box.x: expected the minimum and the maximum, [0.1, 0.8], found 3",

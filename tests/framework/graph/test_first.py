@@ -12,6 +12,7 @@ import dmframe as dm
 from dmframe.cli.catalogue import new
 from dmframe.common.errors import RobotError, UnknownNameError
 from dmframe.graph.first import first_graph, is_robot
+from tests.random_chains import random_chain
 
 LIMIT = '<limit lower="-2.5" upper="2.5" velocity="3" effort="50"/>'
 
@@ -46,43 +47,6 @@ def chain_file(folder: Path, kinds: str, seed: int) -> Path:
             f'<link name="l{k}">{"" if "-" in kinds else inertial}</link><joint name="j{k}" type="{word}">'
             f'<parent link="l{k - 1}"/><child link="l{k}"/><origin xyz="{length} 0 {length / 3}"/>'
             f'<axis xyz="{way}"/>{limit}</joint>'
-        )
-    path = folder / "made.urdf"
-    path.write_text(f"{text}</robot>")
-    return path
-
-
-def random_chain(folder: Path, seed: int) -> Path:
-    """A robot of 4 to 7 axes with random axes, frames, limits and inertia; a quarter of the links have none."""
-    random = np.random.default_rng(seed)
-    count, scale = int(random.integers(4, 8)), 10.0 ** random.uniform(-1, 1)
-    text = '<robot name="made"><link name="l0"/>'
-
-    def row(values: np.ndarray) -> str:
-        return " ".join(f"{value:.6f}" for value in values)
-
-    for k in range(1, count + 1):
-        kind = random.choice(["revolute", "prismatic", "continuous"], p=[0.65, 0.2, 0.15])
-        lower = random.uniform(-2.5, 0.5) * (0.2 if kind == "prismatic" else 1)
-        upper = lower + random.uniform(0.5, 4.0) * (0.2 if kind == "prismatic" else 1)
-        between = "" if kind == "continuous" else f'lower="{lower:.3f}" upper="{upper:.3f}" '
-        limit = (
-            f'<limit {between}velocity="{random.uniform(0.5, 4):.3f}" effort="{scale * random.uniform(5, 100):.3f}"/>'
-        )
-        mass, size = scale * random.uniform(0.2, 1.0), random.uniform(0.02, 0.4, 3)
-        points = size * random.normal(size=(6, 3))
-        second = mass / 6 * points.T @ points
-        moments = np.trace(second) * np.eye(3) - second
-        names = ("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2)
-        inertia = " ".join(f'{name}="{moments[i, j]:.9f}"' for name, i, j in names)
-        inertial = (
-            f'<inertial><origin xyz="{row(random.uniform(-0.1, 0.1, 3))}" rpy="{row(random.uniform(-3, 3, 3))}"/>'
-            f'<mass value="{mass:.6f}"/><inertia {inertia}/></inertial>'
-        )
-        text += (
-            f'<link name="l{k}">{"" if random.random() < 0.25 else inertial}</link><joint name="j{k}" type="{kind}">'
-            f'<parent link="l{k - 1}"/><child link="l{k}"/><axis xyz="{row(random.normal(size=3))}"/>{limit}'
-            f'<origin xyz="{row(random.uniform(-0.4, 0.4, 3))}" rpy="{row(random.uniform(-3, 3, 3))}"/></joint>'
         )
     path = folder / "made.urdf"
     path.write_text(f"{text}</robot>")

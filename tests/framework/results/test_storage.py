@@ -11,8 +11,9 @@ import pytest
 
 import dmframe as dm
 from dmframe.common.errors import DmframeError
-from dmframe.results.along import along
+from dmframe.results.along import StorageTrace, along
 from dmframe.results.climb import climb_of
+from dmframe.results.storage import Storage
 from dmframe_plants.arm2.closed_form import jacobian
 
 LOADED = """
@@ -87,6 +88,21 @@ def test_a_rise_at_samples_is_reported_with_its_size_its_time_and_what_differs_f
     assert f"{100 * rise / fall:.3g} % of its fall" in notice
     assert "the certificate is for continuous time, and this run samples every 2 ms" in notice
     assert notice in str(sampled)
+
+
+@pytest.mark.parametrize(("fraction", "noticed"), [(0.9e-3, False), (1.1e-3, True)])
+def test_a_rise_that_hardly_changes_the_bound_on_the_errors_is_no_notice(
+    sampled: dm.Run, fraction: float, noticed: bool
+) -> None:
+    time = np.arange(4.0)
+    trace = StorageTrace(time, 1.0, np.array([2.0, 1.0, 1.0 + fraction, 1.0]), ())
+    assert isinstance(sampled.storage, Storage)
+    small = replace(sampled.storage, along=trace)
+    assert ("V rose by" in small.notice) is noticed
+    assert small.summary["share"] == pytest.approx(fraction)
+    assert small.summary["cause"] == ["sampling"]
+    unexplained = replace(small, recording=replace(small.recording, clock=None))
+    assert "violated assumption" in unexplained.notice
 
 
 def test_v_is_in_the_files_of_a_run(sampled: dm.Run, tmp_path: Path) -> None:

@@ -100,6 +100,13 @@ def test_the_shown_page_decides_its_conditions_at_the_edited_numbers(
     until(tab, f"globalThis.answer?.edit === 7 && answer.headline === {headline!r}")
 
 
+def test_indices_are_subscripts_in_the_verdict_and_in_its_conditions(tab: Chromium, mine: Path) -> None:
+    indices = "[...document.querySelectorAll('#{} sub')].map((each) => each.textContent)"
+    assert "d" in tab.value(indices.format("detail"))  # of q - q_d
+    assert {"d", "P", "I", "c", "⋆"} <= set(tab.value(indices.format("conditions")))
+    assert "_c" not in tab.value("document.getElementById('conditions').textContent")
+
+
 def test_a_wrong_sign_turns_the_verdict_red_and_names_the_block(tab: Chromium, mine: Path) -> None:
     replace(tab, "K_c: 1,", "K_c: -1,")
     until(tab, f"{STATE} === 'failed' && {NAMED} === 'inverse'")
