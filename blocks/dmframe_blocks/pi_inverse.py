@@ -59,6 +59,14 @@ class PiInverse(AdaptingBlock):
     a stable linear subsystem with the true gains, :math:`\dot z_1 = -(K_I / K_P)\, z_1 + r`. Its input r and the
     momentum are bounded, so :math:`q_c - q_r` is bounded.
 
+    With `K_c` the position error is fed back to the reference position: :math:`q_{tie}` with
+    :math:`\dot q_{tie} = \dot q_r + K_c (q - q_{tie})` replaces :math:`q_r` everywhere, and :math:`q - q_{tie}`, whose
+    rate is :math:`\sigma - K_c (q - q_{tie})`, replaces e. :math:`\dot S` then contains the further terms
+    :math:`-|q - q_{tie}|^2_{K_c K K_I} - \sigma^\top \tau_{bias}`: a disturbance does not accumulate in the position
+    error. The constant torque :math:`\tau_{bias}` is the initial value of the integrator,
+    :math:`K K_I (i + q_c - q)`, for which the regressor has the bias column. If :math:`K_c` is the decay rate of
+    `joint_tracking`, and the robot starts on its path, :math:`q - q_{tie}` is the tracking error.
+
     Parameters
     ----------
     Lambda : diagonal (n,), > 0
@@ -69,6 +77,9 @@ class PiInverse(AdaptingBlock):
         Initial estimates.
     w_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected; correct intervals do not affect the proof.
+    K_c : diagonal (n,), 1/s, > 0
+        Gain of the position feedback to the reference position; by default there is none. It requires ``bias: true`` of
+        the regressor. With a gain near the decay rate of the tracking error the bounds of `verify` are smallest.
 
     Notes
     -----
@@ -96,7 +107,7 @@ class PiInverse(AdaptingBlock):
         Output("w", "n", "rad/(N m s)"),
         Output("w_I", "n", "1/s"),
     )
-    states = (State("q_r", "n", "rad"),)
+    states = (State("q_r", "n", "rad", optional=True), State("q_tie", "n", "rad", optional=True))
     estimates = (
         Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
         Adapted("w_I", "n", "1/s", gain="Lambda_I"),
@@ -116,46 +127,55 @@ class PiInverse(AdaptingBlock):
     Lambda_I: Diagonal = Positive("n", "1/(rad^2 s)")
     w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
     w_I: Diagonal = Real("n", "1/s", default=0.0)
+    K_c: Diagonal | None = Positive("n", "1/s", default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        dq_ref = u.dq_r
+        name, q_r = self._reference(x, p)
         return Equations(
             outputs={
-                "dq_c": dq_ref + x.w_I * x.q_r + x.w * u.tau_dc - x.w_I * u.q_c,
-                "dq_ref": dq_ref,
-                "sigma": u.dq - dq_ref,
+                "dq_c": u.dq_r + x.w_I * q_r + x.w * u.tau_dc - x.w_I * u.q_c,
+                "dq_ref": u.dq_r,
+                "sigma": u.dq - u.dq_r,
                 "w": x.w,
                 "w_I": x.w_I,
             },
-            rates={"q_r": u.dq_r},
+            rates={name: u.dq_r + p.K_c * (u.q - q_r) if "K_c" in p else u.dq_r},
         )
 
     def direction(self, u: Signals, x: Signals, p: Signals, sigma: SX) -> Mapping[str, SX]:
         """(2) and (3), but for the gains."""
+        _, q_r = self._reference(x, p)
         return {
             "w": -(u.tau_dc * sigma + u.tau_f * u.e_f),
-            "w_I": (u.q_c - x.q_r) * sigma - u.q_f * u.e_f,
+            "w_I": (u.q_c - q_r) * sigma - u.q_f * u.e_f,
         }
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The reference position starts at the measured pose."""
-        return {"q_r": u.q}
+        return {"q_tie" if "K_c" in p else "q_r": u.q}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(4) and (5), and the stable linear subsystem of the command."""
         K_star = named("K_star", truth.K * truth.K_P)
         sigma = named("sigma", u.dq - u.dq_r)
-        e, h = truth.i + u.q_c - x.q_r, u.q_c - x.q_r
+        tied, offset, (_, q_r) = "K_c" in p, truth.i + u.q_c - u.q, self._reference(x, p)
+        e, h = u.q - q_r if tied else truth.i + u.q_c - q_r, u.q_c - q_r
+        stiffness = truth.K * truth.K_I
         w, w_I = TrueValue(1 / K_star, K_star), TrueValue(truth.K_I / truth.K_P, K_star)
         filtered = K_star * ((x.w - w.value) * u.tau_f + (x.w_I - w_I.value) * u.q_f)
         return Certificate(
-            storage=(Square(e, truth.K * truth.K_I),),
+            storage=(Square(e, stiffness),),
             estimates={"w": w, "w_I": w_I},
-            dissipation=(Square(sigma, K_star + truth.B),),
+            dissipation=(
+                Square(sigma, K_star + truth.B),
+                *((Square(e, p.K_c * stiffness),) if tied else ()),
+            ),
             dominates=(1,),
             disturbed=(1,),
-            supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma) - ca.dot(u.e_f, filtered),
+            supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma)
+            - ca.dot(u.e_f, filtered)
+            - (ca.dot(sigma, stiffness * offset) if tied else 0),
             linear=(
                 StableLinear(
                     vectors=(h - truth.momentum / K_star,),
@@ -164,7 +184,12 @@ class PiInverse(AdaptingBlock):
                     otherwise=self._otherwise(p),
                 ),
             ),
+            truth={"tau_bias": stiffness * offset} if tied else {},
         )
+
+    def _reference(self, x: Signals, p: Signals) -> tuple[str, SX]:
+        """The state that is the reference position, and its value."""
+        return ("q_tie", x.q_tie) if "K_c" in p else ("q_r", x.q_r)
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
         """(1) is stable if w_I stays positive, which a box guarantees."""

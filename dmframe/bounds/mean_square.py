@@ -40,7 +40,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
 from typing import Any, Final, final
 
 import casadi as ca
@@ -49,19 +49,22 @@ import numpy as np
 from dmframe.block.certificate import SX, Square
 from dmframe.bounds.disturbed import NoBoundError, require_disturbed
 from dmframe.bounds.given import OVER, Torque, torques_of
-from dmframe.bounds.initial import Initial, initial_terms
+from dmframe.bounds.initial import Begin, Initial, initial_terms
 from dmframe.bounds.motion import extent
+from dmframe.bounds.stored import StoredError, StoredErrors
 from dmframe.bounds.supremum import Box
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.certify.error_bound import ErrorBound, ErrorBounds, Kind, Share
 from dmframe.certify.form import stepping
+from dmframe.certify.reach import largest_tube
 from dmframe.certify.shell import largest_jacobian
 from dmframe.certify.symbols import symbols_of
 from dmframe.certify.tacit import pieces_of
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import Text, Written
+from dmframe.common.units import plain
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import Interval, as_float
 from dmframe.prove.definite import Number, lower, upper
@@ -70,6 +73,7 @@ ROUNDED: Final = 1 + 1e-12
 """Factor that covers the rounding of the last operations in floating point."""
 TOOL: Final = Text(Written("x - x(q_d)", "x − x(q_d)", r"x - x(q_d)"))
 """Distance of the tool from its place at the desired joint positions."""
+DISTURBED: Final = Share(Text("the disturbance"), of_start=False)
 DRAWN: Final = 3
 """Robots at which the pieces of a signal with steps are compared."""
 SPLITS: Final = tuple(k / 200 for k in range(1, 200))
@@ -150,14 +154,16 @@ class _ErrorBounds:
                 raise NoBoundError(f"V jumps where {leaf.name} does")
         found, missing, level = list[ErrorBound](), list[str](), self._level(self._servo())
         for consumer, _ in self._claim.cross_terms:
-            for error, unit, moved in self._errors(consumer):
+            for error, unit, moved, wanted in self._errors(consumer):
                 rate = self._lag(consumer, error)
+                own = list(self._stored(consumer, error, unit)) if rate is not None else []
                 if rate is not None:
-                    found.append(replace(self._rms(level, consumer, error, unit, rate), moved=moved))
+                    candidates = [self._rms(level, consumer, error, unit, rate), *(x for x in own if x.kind == "rms")]
+                    found.append(replace(min(candidates, key=_value), moved=moved))
                 else:
-                    why = "it is no first-order lag of the servo level's error; a least singular value of J is needed"
-                    missing.append(f"{consumer.block}: no bound on the mean square of {error.of}: {why}")
-                found.append(replace(self._sup(level, error, unit), moved=moved))
+                    missing.append(f"{consumer.block}: no bound on the mean square of {error.of}: {self._why(wanted)}")
+                candidates = [self._sup(level, error, unit), *(x for x in own if x.kind == "sup")]
+                found.append(replace(min(candidates, key=_value), moved=moved))
         found += list(_at_the_tool(self._claim, found))
         if not found:
             missing.append("V holds no tracking error as a square")
@@ -189,8 +195,18 @@ class _ErrorBounds:
             raise NoBoundError(f"{servo.block}: its certificate does not state how a joint torque acts on V")
         return servo
 
-    def _errors(self, consumer: Part) -> Iterator[tuple[Square, str, float | None]]:
-        """Squares in the storage of a cascade whose vectors are tracking errors, with their units and `extent`."""
+    def _why(self, wanted: str) -> str:
+        """Why the error of a tool has no bound on its mean square, and by how much the tube is too wide."""
+        why = "it is no first-order lag of the servo level's error; a least singular value of J is needed"
+        tube = largest_tube(self._claim.diagram, wanted, self._over)
+        return (
+            why
+            if tube is None
+            else f"{why} on the tube that V allows, and J loses rank at most {plain(tube, 'm')} from the path"
+        )
+
+    def _errors(self, consumer: Part) -> Iterator[tuple[Square, str, float | None, str]]:
+        """Squares in a cascade's storage that are tracking errors: with unit, `extent`, name of the desired value."""
         units = {signal.label: signal.unit for signal in self._claim.loop.outputs}
         pairs = [(ca.vec(pair.found) - ca.vec(pair.wanted), pair) for pair in self._claim.loop.goals]
         for term in consumer.certificate.storage:
@@ -199,7 +215,7 @@ class _ErrorBounds:
                 for e, pair in fitting:
                     (joined,) = self._claim.loop.joined([e])
                     if any(self._symbols.vanishes("error", term.vector + sign * joined) for sign in (-1, 1)):
-                        yield term, units[pair.actual], extent(self._claim.loop, pair, self._over)
+                        yield term, units[pair.actual], extent(self._claim.loop, pair, self._over), pair.desired
                         break
 
     @cached_property
@@ -212,8 +228,13 @@ class _ErrorBounds:
         require_disturbed(self._claim, self._symbols, servo, storage)
         D, (a, c, W) = ca.DM(list(self._torques)), _coefficients(servo)
         rho = ca.vertsplit(sum((a_i * a_i / W_i for a_i, W_i in zip(a, W, strict=True)), ca.SX(0)))
-        power = ca.sum1(sum((c_i * c_i / W_i * D * D for c_i, W_i in zip(c, W, strict=True)), ca.SX(0)))
         middle = sum((ca.fabs(a_i * c_i) / W_i * D / 2 for a_i, c_i, W_i in zip(a, c, W, strict=True)), ca.SX(0))
+        return self._scaled(servo, rho, middle)
+
+    def _scaled(self, servo: Part, rho: Sequence[SX], middle: SX) -> _Level:
+        """S(0) and delta^2 times rho, and the norm of m."""
+        D, (_, c, W) = ca.DM(list(self._torques)), _coefficients(servo)
+        power = ca.sum1(sum((c_i * c_i / W_i * D * D for c_i, W_i in zip(c, W, strict=True)), ca.SX(0)))
         m = sqrt(sum(float(each) ** 2 for each in self._box.tops(ca.vertsplit(middle))))
         driven = max(map(float, self._box.tops_of_products([power], rho)[0])) if any(self._torques) else 0.0
         shares = [(x, _summed(self._box.tops_of_products(x.elements, rho))) for x in self._terms if not x.cascade]
@@ -221,8 +242,46 @@ class _ErrorBounds:
         largest, products = max(shares, key=lambda item: max(item[1]))
         dominating = Share(largest.of, largest.lowered_by())
         if m + sqrt(driven / 4) > sqrt(float(max(products)) / self._over):
-            dominating = Share(Text("the disturbance"), of_start=False)
+            dominating = DISTURBED
         return _Level(stored, driven, m, dominating)
+
+    def _stored(self, consumer: Part, error: Square, unit: str) -> Iterator[ErrorBound]:
+        """Bounds of `dmframe.bounds.stored`, for an error that is a first-order lag."""
+        cross, servo = consumer.certificate.consumes, self._servo()
+        assert cross is not None
+        stored = StoredErrors(self._claim, self._numbers, self._symbols, servo, self._start)
+        (ones, c), rate = (ca.SX.ones(error.vector.shape[0]), cross.c), 1 / self._top([cross.c])
+        for own in stored.driven_by(cross.vector):
+            begun = ca.vertsplit(Begin(self._claim, self._numbers, self._start).at(error.vector - own.term.vector))
+            first, ratio = sqrt(self._top([each * each for each in begun])), own.kappa * c * ones
+            if own.dissipated is not None:
+                _, shares, W = _coefficients(servo, own.dissipated + 1)
+                share, weight = shares[own.dissipated], W[own.dissipated]
+                middle = ca.fabs(share) / weight * ca.DM(list(self._torques)) / 2
+                level = self._scaled(servo, ca.vertsplit(ones / weight), middle)
+                gain = max(1.0, *map(float, self._box.tops(ca.vertsplit(ratio))))
+                value = level.middle + sqrt(level.stored / self._over + level.driven / 4)
+                yield self._bound("rms", error, unit, gain * value + first / sqrt(2 * rate * self._over), level)
+            level = self._scaled(servo, ca.vertsplit(2 * ones / own.term.weight), ca.SX(0))
+            gain = 1 + max(map(float, self._box.tops(ca.vertsplit(ca.fabs(ratio - 1)))))
+            largest = level.stored + self._over * level.driven / 4
+            yield self._bound("sup", error, unit, gain * sqrt(largest) + first, level)
+            level = self._always(stored, own, level)
+            yield self._bound("sup", error, unit, gain * sqrt(level.stored + level.driven) + first, level)
+
+    def _always(self, stored: StoredErrors, own: StoredError, level: _Level) -> _Level:
+        """The second bound of (3) in `dmframe.bounds.stored`, times the largest of 2 / A."""
+        try:
+            boxed = stored.boxed
+        except (NoBoundError, ValueFault, UndecidedError):
+            return replace(level, stored=inf)
+        rho = ca.vertsplit(2 * ca.SX.ones(own.term.vector.shape[0]) / own.term.weight)
+        shares = [(of, max(map(float, _summed(self._box.tops_of_products(x, rho))))) for of, x in boxed.boxes]
+        begun = max(map(float, _summed(self._box.tops_of_products(boxed.others, rho)))) if boxed.others else 0.0
+        driven = level.driven / (4 * boxed.theta * boxed.rate)
+        of, most = max(shares, key=_second, default=(Text(""), 0.0))
+        dominating = DISTURBED if driven > most else Share(of, of_start=False)
+        return _Level(sum(value for _, value in shares), max(begun, driven), 0.0, dominating)
 
     def _rms(self, level: _Level, consumer: Part, error: Square, unit: str, rate: float) -> ErrorBound:
         """(2)."""
@@ -270,6 +329,14 @@ def _at_the_tool(claim: Claim, found: Sequence[ErrorBound]) -> Iterator[ErrorBou
             yield replace(bound, signal=TOOL, value=largest * bound.value, unit="m", moved=moved)
 
 
+def _value(bound: ErrorBound) -> float:
+    return bound.value
+
+
+def _second(pair: tuple[Text, float]) -> float:
+    return pair[1]
+
+
 def _drawn(values: Sequence[Number], rng: np.random.Generator) -> list[float]:
     """A number from each interval."""
     return [as_float(lower(x)) + rng.uniform() * (as_float(upper(x)) - as_float(lower(x))) for x in values]
@@ -291,10 +358,10 @@ def _summed(products: list[list[Fraction]]) -> list[Fraction]:
     return [sum(column, Fraction(0)) for column in zip(*products, strict=True)]
 
 
-def _coefficients(servo: Part) -> tuple[list[SX], list[SX], list[SX]]:
-    """a_i, c_i and W_i as columns."""
+def _coefficients(servo: Part, count: int = 0) -> tuple[list[SX], list[SX], list[SX]]:
+    """a_i, c_i and W_i as columns, of at least `count` dissipated squares."""
     stated = servo.certificate
-    squares = stated.dissipation[: max(len(stated.dominates), len(stated.disturbed))]
+    squares = stated.dissipation[: max(len(stated.dominates), len(stated.disturbed), count)]
     ones = ca.SX.ones(squares[0].pieces[0].shape[0])
     columns = [[share * ones for share in shares] for shares in (stated.dominates, stated.disturbed)]
     a, c = ([*items, *[0 * ones] * (len(squares) - len(items))] for items in columns)

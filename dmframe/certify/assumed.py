@@ -105,6 +105,18 @@ def _evaluated(name: Text, weight: SX, numbers: Numbers, start: Mapping[str, Any
     return _over(found, margin, numbers)
 
 
+def decided_at_start(name: Text, column: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked | None:
+    """The condition that no element is below zero at the initial state; None if that state is not known."""
+    (column,) = numbers.claim.loop.joined([ca.densify(column)])
+    begun = margin_from_start(column, numbers, start)
+    margin = begun.at(numbers.starts)
+    if margin is None:
+        return None
+    least = _least_of(margin, numbers)
+    found = Checked(name, "least value >= 0", least, least >= 0, SIGNS, "sampled", False, margin, begun=begun)
+    return _over(found, margin, numbers) if symbols_in([margin]) & numbers.open else found
+
+
 def _over(found: Checked, margin: SX, numbers: Numbers) -> Checked:
     """The same condition over the intervals on which its margin depends."""
     try:
@@ -112,7 +124,7 @@ def _over(found: Checked, margin: SX, numbers: Numbers) -> Checked:
     except (ValueFault, UndecidedError, OverflowError):
         text = f"{found.expression}; not decided over the intervals"
         return replace(found, holds=False, value=None, how="undecided", expression=text)
-    return replace(found, holds=least > 0, value=least, how="exact")
+    return replace(found, holds=least > 0 if found.strict else least >= 0, value=least, how="exact")
 
 
 def _least_of(margin: SX, numbers: Numbers) -> float:

@@ -27,7 +27,8 @@ class Begun:
     symbols
         These symbols of `Claim.starts`, by the state's label.
     starts
-        The graph's initial value of each of them, in parameters; None if neither graph nor block states it.
+        The graph's initial value of each of them, in parameters and these symbols; None if neither graph nor block
+        states it.
     known
         Identities of the parameters' symbols.
     """
@@ -44,8 +45,10 @@ class Begun:
         found = [value for value in values if value is not None]
         if len(found) < len(values):
             return None
-        margin = self.margin
-        if kept:
-            (margin,) = ca.substitute([margin], [self.symbols[label] for label in kept], found)
+        margin, symbols = self.margin, [self.symbols[label] for label in kept]
+        for _ in kept:  # the initial value of a state may contain that of another
+            if not symbols_in([margin]) & symbols_in(symbols):
+                break
+            (margin,) = ca.substitute([margin], symbols, found)
         free = symbols_in(symbol for label, symbol in self.symbols.items() if label in moved)
         return margin if symbols_in([margin]) <= self.known | free else None

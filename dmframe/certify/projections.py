@@ -24,6 +24,7 @@ import numpy as np
 
 from dmframe.block.certificate import SX, Assumption, TrueValue
 from dmframe.block.model import symbols_in
+from dmframe.certify.assumed import decided_at_start
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim
@@ -68,7 +69,7 @@ def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterato
         estimate = _estimated(claim, projection)
         if estimate is not None:
             truth = estimate.value + ca.SX.zeros(projection.state.shape[0])
-            yield from _inside(projection, truth, numbers)
+            yield from _inside(projection, truth, numbers, start)
             yield from _still(projection.name, truth, numbers)
             askew = projection.set.askew(estimate.weight)
             if not askew.is_zero():
@@ -83,8 +84,8 @@ def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
     return next(found, {}).get(projection.of)
 
 
-def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Finding]:
-    """The true value is in the set, decided or assumed."""
+def _inside(projection: Projection, truth: SX, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
+    """The true value is in the set: decided, or assumed and true at the graph's own start."""
     text = Text(Label(projection.name), f": true value inside the {projection.kind}")
     room = projection.set.room(truth)
     known, rest = _decidable(room, numbers)
@@ -96,6 +97,10 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Fin
         if rows:
             at = sorted({row % truth.shape[0] for row in rows})
             yield Assumption(Text(text, f"{_at(projection, at)}: {origin} decides it"), SOURCE)
+    own = [row for row in rest if row not in handed]
+    found = decided_at_start(Text(text, " at the start"), room[own], numbers, start) if own else None
+    if found is not None:
+        yield found
     if handed:
         yield from outside(text, ca.vertcat(*handed.values()), loop)
 

@@ -73,6 +73,15 @@ def certificate_schema() -> dict[str, Any]:
     return schema
 
 
+def _in_ascii(item: Any) -> Any:
+    """The item with other letters escaped in all its texts: a checker accepts none, since some of them look alike."""
+    if isinstance(item, str):
+        return item.encode("ascii", "backslashreplace").decode()
+    if isinstance(item, dict):
+        return {_in_ascii(key): _in_ascii(value) for key, value in item.items()}
+    return list(map(_in_ascii, item)) if isinstance(item, list | tuple) else item
+
+
 @final
 class _Writer:
     """Collects the vectors that the file's statements refer to."""
@@ -104,7 +113,9 @@ class _Writer:
                 item["numbers"] = numbers[item["label"]]
         kappa = self._verdict.kappa
         found |= {"symbols": symbols, "program": program, "vectors": vectors}
-        return canonical(found, kappa.chosen if kappa else Fraction(1))
+        found = canonical(found, kappa.chosen if kappa else Fraction(1))
+        kept = {key: found[key] for key in ("about", "program", "vectors")}
+        return {**_in_ascii(found), **kept}
 
     def _vector(self, name: str, expression: Any) -> str:
         """Enter an expression as an output of the program; return its name."""

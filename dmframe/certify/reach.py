@@ -44,12 +44,32 @@ def out_of_reach(diagram: Diagram, horizon: float) -> Iterator[Text]:
     """Text for each desired path of a tool that leaves the tool's reach within that time [s]."""
     loop = diagram.loop
     for name, robot, path in _paths(diagram):
-        times = np.linspace(0.0, horizon, SAMPLES)
-        function = ca.Function("path", [loop.time, loop.p], [path])
-        places = Sampler(function, loop.p_values).over(times)
+        times, places = _places(loop, path, horizon)
         yield from (
             Text(Label(name), f" {why}") for why in (*_too_far(robot, places, times), *_off_plane(robot, places, times))
         )
+
+
+def largest_tube(diagram: Diagram, desired: str, horizon: float) -> float | None:
+    """Upper bound of the distance from a tool's path at which its Jacobian loses rank somewhere [m]; None if unknown.
+
+    A straight line from the path to the boundary of the shell leaves the set of reachable positions, on whose boundary
+    the rank is lost.
+    """
+    for name, robot, path in _paths(diagram):
+        shell = shell_of(robot) if name == desired else None
+        if shell is not None:
+            _, places = _places(diagram.loop, path, horizon)
+            away = np.linalg.norm(shell.across @ (places - shell.center[:, None]), axis=0)
+            rooms = [shell.outer - np.max(away), *([np.min(away) - shell.inner] if shell.inner else [])]
+            return max(0.0, float(min(rooms)))
+    return None
+
+
+def _places(loop: ClosedLoop, path: SX, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+    """Instants, and a path at each of them, column by column."""
+    times = np.linspace(0.0, horizon, SAMPLES)
+    return times, Sampler(ca.Function("path", [loop.time, loop.p], [path]), loop.p_values).over(times)
 
 
 def kept_within(claim: Claim) -> Iterator[tuple[Text, SX | None, SX]]:

@@ -113,16 +113,22 @@ def margin_from_start(
     zero
         True if a state without a stated initial value starts at zero.
     """
-    claim = numbers.claim
-    used, symbols, starts = symbols_in([margin]), dict[str, SX](), dict[str, SX | None]()
-    for variable in claim.loop.variables:
-        label = variable.label
-        if used & variable.identities and (labels is None or label in labels):
-            symbols[label] = claim.starts[label]
-            given_start = zero or has_start(label, numbers, given)
-            value = start_expression(label, numbers, given) if given_start else None
-            starts[label] = None if value is None else ca.densify(value)
-            (margin,) = ca.substitute([margin], [ca.vec(variable.symbol)], [symbols[label]])
+    loop, symbols, starts, left = numbers.claim.loop, dict[str, SX](), dict[str, SX | None](), [margin]
+    while left:  # the initial value of a state may contain that of another
+        used, left = symbols_in(left), []
+        for variable in loop.variables:
+            label = variable.label
+            if label not in starts and used & variable.identities and (labels is None or label in labels):
+                given_start = zero or has_start(label, numbers, given)
+                value = start_expression(label, numbers, given) if given_start else None
+                symbols[label] = numbers.claim.starts[label]
+                starts[label] = None if value is None else ca.densify(loop.joined([value])[0])
+                left += [] if value is None else [value]
+    old = [ca.vec(variable.symbol) for variable in loop.variables if variable.label in symbols]
+    new = [symbols[variable.label] for variable in loop.variables if variable.label in symbols]
+    margin, *values = ca.substitute([margin, *(value for value in starts.values() if value is not None)], old, new)
+    known = iter(values)
+    starts = {label: None if value is None else next(known) for label, value in starts.items()}
     return Begun(margin, symbols, starts, frozenset(numbers.known))
 
 

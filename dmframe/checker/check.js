@@ -12,11 +12,12 @@ globalThis.checker = (() => {
   const fail = (text, Fault = Refused) => { throw new Fault(text); }, refute = (text) => fail(text, Refuted);
   const need = (condition, text) => condition || fail(text);
 
-  const WANTED = -300, SIZES = [149, 269, 521], LARGEST = 1 << 22, BIG = 1n << 20000n;
+  const WANTED = -300, SIZES = [149, 269, 521]; // log2 of the largest error, and bits of primes
+  const LARGEST = 1e6, WIDEST = 1000, ROWS = 300, BIG = 1n << 20000n; // sizes of lists, bases, matrices and numbers
   const KINDS = ["constant", "given", "time", "state", "correction"];
   const BOUNDED = "sin cos tanh atan atan2 sign lt le eq not and".split(" ");
   const UNARY = "sin cos tanh atan sqrt exp log fabs sign floor not".split(" ");
-  const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")];
+  const CALLS = [...UNARY, ..."fmin fmax lt le eq and if_else_zero atan2".split(" ")], PLAIN = ["const", "input", "add", "sub", "mul", "div"];
   const ASSUMED = [
     "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
     "divisors, those of derivatives too, and arguments of logarithms stay away from 0; arguments of roots are positive",
@@ -174,6 +175,7 @@ globalThis.checker = (() => {
   const PHI = "vector other scale weight", PARTS = {
     "square": "vector weight", "potential": "vector scale weight", "tanh": PHI, "atan": PHI, "projected": "vector correction true lower upper weight",
   };
+  const VECTORS = { "robots": "rotors gravity torque", "stable": "vector weight loss", "ranks": "matrix vector", "conditions": "margin", "conclusions": "vector" };
   const ROLES = { "stored": ["square", "potential"], "dissipated": ["square", "tanh", "atan", "projected"], "residual": ["square"] };
 
   function keys(item, text, names) {
@@ -183,7 +185,8 @@ globalThis.checker = (() => {
     for (const name of ["exact", "strict"]) need(!must.includes(name) || typeof item[name] === "boolean", name);
     return item;
   }
-  const LINE = new RegExp("^( |[^\\p{C}\\p{Z}])*$", "u"), printable = (x) => (typeof x === "string" && LINE.test(x) ? x : fail("a text"));
+  const printable = (x) => (typeof x === "string" && /^[ -~]*$/.test(x) ? x : fail("a text")); // letters of two alphabets may look alike
+  const distinct = (names) => need(new Set(names).size === names.length, "a name of two conclusions, conditions, assumed weights or matrices");
   const whole = (x, from = 0, to = LARGEST) => {
     need(Number.isSafeInteger(x) && from <= x && x < to, `no number: ${x}`);
     return x;
@@ -196,18 +199,24 @@ globalThis.checker = (() => {
       need(data.format === "dmframe-certificate" && data.version === 4 && ["flow", "sample"].includes(data.over), "version: expected 4; write the file again");
       this.samples = data.over === "sample";
       keys(data, "the file", TOP);
+      for (const own of [data.about, data.rates]) need(typeof own === "object" && own && !Array.isArray(own), "expected an object");
+      need(Object.values(data.about).every((x) => typeof x === "string"), "about: expected texts");
       for (const [name, own] of Object.entries(LISTS)) this[name] = list(data[name]).map((item) => keys(item, name, own));
       need(!this.samples || FLOW.every((name) => !this[name].length), `a rule over a ${data.over}`);
-      need(new Set(this.conclusions.map((x) => `${x.signal} ${x.says}`)).size === this.conclusions.length, "a conclusion occurs twice");
+      for (const names of [this.conclusions.map((x) => `${x.signal} ${x.says}`), this.conditions.map((x) => x.name), this.terms.filter((x) => x.assumed).map((x) => x.name)]) distinct(names);
       this.graph = new Graph();
       this.places = new Map(this.symbols.map((item, k) => [item.label, k]));
       need(this.places.size === this.symbols.length, "symbols");
       this.known = new Map(); // intervals of input nodes
       this.divided = [];
-      this.fixed = this.symbols.filter((item) => item.exact && item.size).map((item) => item.label);
+      this.fixed = this.symbols.filter((item) => item.exact).map((item) => item.label);
       for (const item of this.symbols) this.readSymbol(item);
+      need(this.symbols.reduce((total, { size }) => total + size, 0) < LARGEST, "size");
       const nodes = [ZERO, ...this.readProgram(keys(data.program, "program", "operations code a b constants"))];
-      this.vectors = list(data.vectors).map((elements) => list(elements).map((k) => at(nodes, k + 1)));
+      this.vectors = list(data.vectors).map((elements) => {
+        need(list(elements).length, "an empty vector");
+        return elements.map((k) => nodes[whole(k, -1, nodes.length - 1) + 1]);
+      });
       this.assumed = data.assumed.map(printable);
       this.moves = new Map(Object.entries(data.rates).map(([label, k]) => {
         const item = this.symbol(label), given = ["constant", "given", "time"];
@@ -216,13 +225,16 @@ globalThis.checker = (() => {
         return [this.places.get(label), this.vector(k)];
       }));
       this.terms = this.terms.map((item) => this.readTerm(item));
+      for (const [name, own] of Object.entries(VECTORS)) this[name] = this[name].map((item) => this.withVectors(item, own, ["conditions", "conclusions"].includes(name)));
+      this.robots = this.robots.map((item) => ({ ...item, joints: list(item.joints).map((own) => this.readJoint(own)) }));
+      distinct([...new Set(this.ranks.map((x) => `${x.matrix} ${x.name}`))].map((text) => text.slice(text.indexOf(" "))));
       this.derivatives = new Map();
       const moved = this.terms.flatMap((item) => item.correction ?? []);
       need(this.samples || new Set(moved).size === moved.length, "a correction occurs twice");
       need(this.terms.some((item) => item.role === "stored"), "V");
     }
     readSymbol({ label, kind, size, numbers, exact }) {
-      need(KINDS.includes(kind) && whole(size) >= 0 &&
+      need(KINDS.includes(kind) && whole(size, 1) &&
         (numbers === null ? !exact : kind === "constant" && list(numbers).length === size), `${label}: its numbers`);
       numbers?.forEach((pair, k) => {
         const ends = pair.map(rational), [low, high] = ends.map(String);
@@ -232,6 +244,7 @@ globalThis.checker = (() => {
     }
     readProgram({ operations, constants, code, a, b }) {
       const g = this.graph, numbers = list(constants).map(rational), nodes = [];
+      need(list(operations).every((x) => PLAIN.includes(x) || CALLS.includes(x)), "unknown operation");
       for (const column of [code, a, b]) for (const k of list(column)) whole(k);
       need([a, b].every((x) => list(x).length === code.length), "size");
       list(code).forEach((k, i) => {
@@ -240,7 +253,6 @@ globalThis.checker = (() => {
         else if (name === "input") nodes.push(g.input(a[i], whole(b[i], 0, at(this.symbols, a[i]).size)));
         else {
           const [x, y] = [a, b].map((column) => at(nodes, column[i]));
-          need(["add", "sub", "mul", "div"].includes(name) || CALLS.includes(name), `unknown operation ${name}`);
           nodes.push(CALLS.includes(name) ? g.call(name, x, y) : g[name](x, y));
           if (name === "div") this.divided.push(g.inv(y)); // a divisor must not vanish, even in a part times 0
         }
@@ -249,10 +261,18 @@ globalThis.checker = (() => {
     }
     readTerm(item) {
       const { name, role, rule, assumed } = item;
-      need(Object.hasOwn(ROLES, role) && ROLES[role].includes(rule) && (!this.samples || ["square", "projected"].includes(rule)), `${name}: unknown rule ${rule} of a ${role} term`);
+      need(typeof role === "string" && Object.hasOwn(ROLES, role) && ROLES[role].includes(rule) && (!this.samples || ["square", "projected"].includes(rule)), `${name}: unknown rule ${rule} of a ${role} term`);
       keys(item.parts, name, PARTS[rule]);
       if (assumed !== null) printable(assumed);
-      return { name, role, rule, assumed, ...Object.fromEntries(Object.entries(item.parts).map(([key, k]) => [key, this.vector(k)])) };
+      return { name, role, rule, assumed, ...this.withVectors(item.parts, PARTS[rule]) };
+    }
+    // The item with nodes in place of the numbers of its vectors.
+    withVectors(item, names, optional = false) {
+      return { ...item, ...Object.fromEntries(names.split(" ").map((x) => [x, optional && item[x] === null ? null : this.vector(item[x])])) };
+    }
+    readJoint(item) {
+      need(["revolute", "prismatic"].includes(keys(item, "a joint", "kind axis place body").kind), "a joint");
+      return this.withVectors(item, "axis place body");
     }
     symbol(label) { return this.symbols[this.places.get(label) ?? fail(label)]; }
     inputs(label) { return Array.from({ length: this.symbol(label).size }, (_, k) => this.graph.input(this.places.get(label), k)); }
@@ -339,9 +359,9 @@ globalThis.checker = (() => {
   // integral of r r' dm over the points r = (x, y, z, 1) of the link. With the Jacobian U_j = dT/dq_j and its rates, V the
   // rate of T and C its acceleration less gravity, the force of joint j is sum_i tr(U_j S C'), by d'Alembert's principle.
   function robot(of, item) {
-    const g = of.graph, q = of.inputs(item.position), n = q.length, [rotors, gravity, torque] = ["rotors", "gravity", "torque"].map((name) => of.vector(item[name]));
-    const dq = of.exactRates(q), ddq = of.exactRates(dq), found = [];
-    need(n && of.of(rotors, ["constant"]) && item.joints.length === n && rotors.length === n && gravity.length === 3, "size");
+    const g = of.graph, { rotors, gravity, torque } = item, q = of.inputs(item.position), n = q.length, dq = of.exactRates(q), ddq = of.exactRates(dq), found = [];
+    need(q.every((k) => of.kind(k) === "state"), "the robot's position is no state");
+    need(n && of.of([...rotors, ...gravity], ["constant"]) && item.joints.length === n && rotors.length === n && gravity.length === 3, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
     const rows = (column) => [0, 1, 2].map((i) => [0, 1, 2, 3].map((j) => (column ? (j === 3 ? g.neg(column[i]) : ZERO) : i === j ? ONE : ZERO)));
@@ -362,14 +382,14 @@ globalThis.checker = (() => {
 
   // The transform A of a joint, K with dA/dq = A K, its body, and what must vanish.
   function joint(of, item, q) {
-    keys(item, "a joint", "kind axis place body");
-    const g = of.graph, [a, place, body] = ["axis", "place", "body"].map((name) => of.vector(item[name])), [x, y, z] = a, turns = item.kind === "revolute";
-    need((turns || item.kind === "prismatic") && a.length === 3 && place.length === 12, "a joint");
+    const g = of.graph, { axis: a, place, body } = item, [x, y, z] = a, turns = item.kind === "revolute";
+    need(a.length === 3 && place.length === 12, "a joint");
     const P = matrix(place, 3), R = P.map((row) => row.slice(0, 3)), dots = (X, Y) => X.flatMap((x, i) => Y.map((y, j) => g.sub(g.dot(x, y), i === j ? ONE : ZERO)));
     const minor = (k, [i, j] = [(k + 1) % 3, (k + 2) % 3]) => g.sub(g.mul(R[0][i], R[1][j]), g.mul(R[0][j], R[1][i]));
     const K = turns ? [[ZERO, g.neg(z), y, ZERO], [z, ZERO, g.neg(x), ZERO], [g.neg(y), x, ZERO, ZERO]] : a.map((e) => [ZERO, ZERO, ZERO, e]);
     K.push(Array(4).fill(ZERO));
-    need(of.of(g.replaced(place, (k) => (k === q ? ZERO : k)), ["constant"]) && of.of([...a, ...body], ["constant"]), "a joint");
+    const moving = g.slice(place).filter((k) => k !== q && g.op[k] === INPUT);
+    need(moving.every((k) => of.kind(k) === "constant") && of.of([...a, ...body], ["constant"]), "a joint");
     const A = [...P, [ZERO, ZERO, ZERO, ONE]], slopes = g.rates(P.flat(), (k) => (k === q ? ONE : ZERO), new Map());
     return {
       A, K, S: pseudo(body),
@@ -402,7 +422,7 @@ globalThis.checker = (() => {
       found.set(k, own);
     }
     for (const of of Object.values(callers)) total += of.size * add([...of].map((x) => add(x) + 4)); // x = y
-    return total + add([0, 1].map((i) => Math.max(...nodes.map((k) => found.get(k)[i]))));
+    return total + add([0, 1].map((i) => nodes.reduce((most, k) => Math.max(most, found.get(k)[i]), 0)));
   }
 
   // ---- Prime fields
@@ -551,10 +571,11 @@ globalThis.checker = (() => {
     // 1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided.
     sign(nodes, size = 0) {
       const values = this.bounds(size > 1 && nodes.length === size * size ? this.pivots(matrix(nodes, size)) : nodes);
-      return values ? Math.min(1, ...values.map(([[n]]) => (n > 0n) - (n < 0n))) : -1;
+      return values ? values.reduce((least, [[n]]) => Math.min(least, (n > 0n) - (n < 0n)), 1) : -1;
     }
     // A matrix is positive definite if all pivots of its symmetric part are positive.
     pivots(all) {
+      need(all.length <= ROWS, "a matrix is too large");
       const g = this.of.graph, found = [];
       let rows = symmetric(g, all);
       while (rows.length) {
@@ -591,12 +612,12 @@ globalThis.checker = (() => {
       const { of } = this;
       for (const term of of.terms) if (term.role !== "residual") this.term(term);
       for (const { joints, rotors } of of.robots) {
-        if (joints.some(({ body }) => this.sign(pseudo(of.vector(body)).flat(), 4) < 1) || this.sign(of.vector(rotors)) < 0) refute("a body of the robot");
+        if (joints.some(({ body }) => this.sign(pseudo(body).flat(), 4) < 1) || this.sign(rotors) < 0) refute("a body of the robot");
       }
       for (const item of of.conditions) {
-        const margin = item.margin === null ? [] : of.vector(item.margin), text = `condition: ${item.name}`;
-        if (!margin.length || !this.bounds(margin)) this.assumed.push(text);
-        else if (this.sign(margin) < Number(item.strict)) refute(text);
+        const text = `condition: ${item.name}`;
+        if (!item.margin || !this.bounds(item.margin)) this.assumed.push(text);
+        else if (this.sign(item.margin) < Number(item.strict)) refute(text);
       }
       return this.strict;
     }
@@ -636,17 +657,19 @@ globalThis.checker = (() => {
         }
       }
       this.columns = of.symbols.filter((item) => ["state", "time"].includes(item.kind)).flatMap((item) => of.inputs(item.label));
+      need(this.columns.length <= WIDEST, "too many states");
       this.open = units(this.columns.length);
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
       this.inverse = (x) => first.inverse(x);
       this.squares = [...strict].filter((term) => term.role === "dissipated" && term.rule === "square").flatMap((term) => term.vector);
-      this.wanted = of.conclusions.filter((item) => item.vector !== null && of.vector(item.vector).length);
+      this.wanted = of.conclusions.filter((item) => item.vector);
       this.bounds = [];
       this.sources = [];
       this.loose = new Set(of.symbols.filter((item) => item.kind === "correction").flatMap((item) => of.inputs(item.label)));
       this.premises();
       while (this.bounds.map(([given, nodes]) => this.bounded(given) && !this.bounded(nodes) && this.grow(nodes)).some((x) => x));
-      this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => of.vector(x.vector)), ...this.sources.map((x) => x[1])].flat().length;
+      this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => x.vector), ...this.sources.map((x) => x[1])].flat().length;
+      need(this.count <= WIDEST, "too many vanishing signals");
       this.basis = units(this.count);
     }
     dot(x, y) { return x.reduce((total, a, k) => (a && y[k] ? (total + a * y[k]) % this.p : total), 0n); }
@@ -690,7 +713,7 @@ globalThis.checker = (() => {
         if (rule === "potential") sources.push([a.map((x, k) => g.div(x, root(g, x, term.scale[k]))), a]); // it has the zeros of a
       }
       for (const item of of.stable) { // W dz/dt = - L z + force
-        const [z, weight, loss] = ["vector", "weight", "loss"].map((name) => of.vector(item[name])), rate = of.rates(z), n = z.length;
+        const { vector: z, weight, loss } = item, rate = of.rates(z), n = z.length;
         if (signs.sign(weight, n) < 1 || signs.sign(loss, n) < 1 || !of.of(weight, ["constant"]) || rate.includes(NONE)) continue;
         const metric = weight.length === n ? weight : symmetric(g, matrix(weight, n)).flat();
         const force = g.plus(weighted(g, metric, rate), weighted(g, loss, z));
@@ -698,7 +721,7 @@ globalThis.checker = (() => {
         sources.push([force, z]);
       }
       for (const item of of.ranks) {
-        const flat = of.vector(item.matrix), b = of.vector(item.vector), n = b.length, R = matrix(flat, n), [values] = this.sample(flat, 1);
+        const { matrix: flat, vector: b } = item, n = b.length, R = matrix(flat, n), [values] = this.sample(flat, 1);
         need(flat.length % n === 0, "size");
         if (restricted(units(n), matrix(values, n), p, this.inverse).length) continue;
         sources.push([transposed(R).map((column) => g.dot(column, b)), b, `${item.name} keeps full row rank, uniformly`]);
@@ -708,7 +731,7 @@ globalThis.checker = (() => {
       const columns = transposed(this.sample(nodes, this.count));
       return this.basis.map((u) => columns.map((column) => this.dot(u, column)));
     }
-    made(nodes) { return this.gone.length > 0 && !nodes.includes(NONE) && !this.slopes(nodes).flat().some((x) => x); }
+    made(nodes) { return !nodes.includes(NONE) && !this.slopes(nodes).flat().some((x) => x); }
     vanish(nodes) {
       this.gone.push(nodes);
       this.basis = restricted(this.basis, this.slopes(nodes), this.p, this.inverse);
@@ -720,11 +743,11 @@ globalThis.checker = (() => {
       return (ends && this.bounded(of.rates(nodes))) || this.made(nodes);
     }
     check() {
-      const shown = [], { of } = this;
+      const shown = [];
       for (;;) {
-        const found = this.wanted.filter((x) => !shown.includes(x) && this.follows(x.says, of.vector(x.vector)));
+        const found = this.wanted.filter((x) => !shown.includes(x) && this.follows(x.says, x.vector));
         const used = this.sources.filter(([premise, nodes]) => this.made(premise) && !this.made(nodes));
-        for (const x of found) if (x.says === "goes to zero") this.vanish(of.vector(x.vector));
+        for (const x of found) if (x.says === "goes to zero") this.vanish(x.vector);
         shown.push(...found);
         for (const [, nodes, text] of used) {
           this.vanish(nodes);
@@ -741,14 +764,14 @@ globalThis.checker = (() => {
   }
 
   // What holds for any residual: all that is dissipated is in sum at most V at the start and the residual.
-  function* withResidual(of) {
+  function* withResidual(of, strict) {
     const g = of.graph, clipped = (k) => {
       if (g.name(k) !== "fmin") return false;
       const inner = g.a[k];
       return g.name(inner) === "fmax" && of.of([g.b[inner], g.b[k]], ["constant"]);
     };
     yield "V does not rise where the residual is zero";
-    for (const { name, role, rule } of of.terms) {
+    for (const { name, role, rule } of strict) {
       if (role === "dissipated" && rule === "square") yield `${name} is ${of.samples ? "summable" : "integrable"} where the residual is`;
     }
     for (const { label, size } of of.samples ? of.symbols : []) {
@@ -761,7 +784,7 @@ globalThis.checker = (() => {
     const of = new Certificate(data), signs = new Signs(of), [error, points] = identity(of), strict = signs.check();
     const named = (items) => items.map((item) => `${item.signal} ${item.says}`);
     let shown = [];
-    if (of.samples || of.terms.some((term) => term.role === "residual")) shown = [...new Set(withResidual(of))];
+    if (of.samples || of.terms.some((term) => term.role === "residual")) shown = [...new Set(withResidual(of, strict))];
     else {
       shown = named(new Conclusions(of, signs, strict).check());
     }
@@ -775,9 +798,9 @@ globalThis.checker = (() => {
       statement: of.samples ? "V(next) - V" : "dV/dt",
       log2_error: Math.round(error),
       points,
-      robot: of.robots.map(({ joints, torque }) => {
-        const reads = [...of.graph.reads(of.vector(torque))].map((k) => of.symbols[k].label).sort().join(", ");
-        return `a chain of ${joints.length} rigid bodies, whose acceleration follows from a torque of ${reads}`;
+      robot: of.robots.map(({ position, joints, torque }) => {
+        const reads = [...of.graph.reads(torque)].map((k) => of.symbols[k].label).sort().join(", ");
+        return `${position}: a chain of ${joints.length} rigid bodies, whose acceleration follows from a torque of ${reads}`;
       }),
       "only_at_exact_values_of": of.fixed.sort(),
       conclusions: shown,
@@ -800,22 +823,26 @@ globalThis.checker = (() => {
 
 if (typeof module === "object" && typeof require === "function") {
   globalThis.crypto ??= require("crypto").webcrypto;
-  module.exports = globalThis.checker;
-  // The data of a text in which no key occurs twice in one object: it has as many keys as the data.
-  const read = (text) => {
+  // The data of a file of UTF-8. No key occurs twice in one object: the text has as many keys as the data. All numbers are whole.
+  const read = (bytes) => {
+    if (bytes.length >= 2e7) throw new Error("the file is too long");
+    const text = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes);
     let count = -1;
     const data = JSON.parse(text, function (_, value) {
       if (!Array.isArray(this)) count++;
       return value;
     });
-    if ((text.match(/"(\\.|[^"\\])*"\s*:?/g) ?? []).filter((token) => token.endsWith(":")).length !== count) throw new Error("a key occurs twice in one object");
+    const strings = /"[^"\\]*(?:\\.[^"\\]*)*"\s*:?/g;
+    if ((text.match(strings) ?? []).filter((token) => token.endsWith(":")).length !== count) throw new Error("a key occurs twice in one object");
+    if (/\d[.eE]/.test(text.replace(strings, ""))) throw new Error("a number that is not whole");
     return data;
   };
+  module.exports = { ...globalThis.checker, read };
   if (require.main === module) {
     const paths = process.argv.slice(2).filter((x) => x !== "--json");
     let result = { status: "refused", reason: "usage: node check.js FILE [--json]" };
     try {
-      if (paths.length === 1) result = globalThis.checker.check(read(require("fs").readFileSync(paths[0], "utf8")));
+      if (paths.length === 1) result = globalThis.checker.check(read(require("fs").readFileSync(paths[0])));
     } catch (fault) {
       result.reason = String(fault.message);
     }

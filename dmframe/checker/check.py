@@ -22,10 +22,13 @@ from functools import partial
 from math import ceil, log2
 from types import SimpleNamespace
 
-SIZES, WANTED, LARGEST, LONGEST = (149, 269, 521), -300, 10**6, 2 * 10**7
+SIZES, WANTED = (149, 269, 521), -300  # bits of primes, and log2 of the largest error
+LARGEST, LONGEST = 10**6, 2 * 10**7  # limits of lists and files
+WIDEST, ROWS, HIGHEST = 1000, 300, 2**20000  # limits of bases, matrices and numbers
 ARITHMETIC = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
 UNARY = set("sin cos tanh atan sqrt exp log fabs sign floor not".split())
 BINARY = set("add sub mul div fmin fmax lt le eq and if_else_zero atan2".split())
+OPERATIONS = {"const", "input", *UNARY, *BINARY}
 BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
 KINDS = {"constant", "given", "time", "state", "correction"}
 RULES = {  # of terms: their roles, and their parts
@@ -55,19 +58,30 @@ def need(condition, text, fault=Refused):
 
 
 # ---- Expressions -----------------------------------------------------------------------------------------------------
+NODES = {}
+
+
 class Node:
-    """A number, a symbol (value: its label and element), or an operation or function of other nodes."""
+    """A number, a symbol (value: its label and element), or an operation or function of other nodes.
+
+    Equal nodes of a file are one object.
+    """
 
     __slots__ = ("name", "of", "value")
 
-    def __init__(self, name, *of, value=None):
-        self.name, self.of, self.value = name, of, value
+    def __new__(cls, name, *of, value=None):
+        key = name, frozenset(of) if name in ("add", "mul") else of, value
+        if key not in NODES:
+            need(len(NODES) < LARGEST, "too many expressions")
+            NODES[key] = self = super().__new__(cls)
+            self.name, self.of, self.value = name, of, value
+        return NODES[key]
 
     def __add__(self, other):
         return other if self is ZERO else self if other is ZERO else Node("add", self, other)
 
     def __sub__(self, other):
-        return self if other is ZERO else Node("sub", self, other)
+        return self if other is ZERO else ZERO if self is other else Node("sub", self, other)
 
     def __mul__(self, other):
         if ZERO in (self, other):
@@ -75,18 +89,28 @@ class Node:
         return other if self is ONE else self if other is ONE else Node("mul", self, other)
 
     def __truediv__(self, other):
-        return self * Node("inv", other)
+        return self * inverse(other)
 
 
 def number(value):
     return ZERO if value == 0 else ONE if value == 1 else Node("number", value=Fraction(value))
 
 
+def inverse(node):
+    return ONE if node is ONE else Node("inv", node)
+
+
+def built(name, *of):
+    """The node of an operation."""
+    if name == "inv":
+        return inverse(*of)
+    return ARITHMETIC[name](*of) if name in ARITHMETIC else Node(name, *of)
+
+
 ZERO, ONE = Node("number", value=Fraction(0)), Node("number", value=Fraction(1))
-HALF, MINUS = number(Fraction(1, 2)), number(-1)
 SLOPES = {  # derivatives of a function f by its operands
     "add": lambda f, x, y: [ONE, ONE],
-    "sub": lambda f, x, y: [ONE, MINUS],
+    "sub": lambda f, x, y: [ONE, ZERO - ONE],
     "mul": lambda f, x, y: [y, x],
     "inv": lambda f, x: [ZERO - f * f],
     "sin": lambda f, x: [Node("cos", x)],
@@ -124,12 +148,7 @@ def evaluate(nodes, call, values):
 
 def replaced(nodes, given):
     """The nodes with others in place of some."""
-
-    def call(node, *of):
-        same = all(x is y for x, y in zip(node.of, of))
-        return node if same else ARITHMETIC.get(node.name, partial(Node, node.name))(*of)
-
-    return evaluate(nodes, call, dict(given))
+    return evaluate(nodes, lambda node, *of: built(node.name, *of) if of else node, dict(given))
 
 
 def rates(nodes, moves, found):
@@ -185,10 +204,10 @@ class Interval:
     ArithmeticError is raised.
     """
 
-    def __init__(self, lower, upper):
-        self.lower, self.upper = lower, upper
-        size = max(x.numerator.bit_length() + x.denominator.bit_length() for x in (lower, upper))
-        need(size < LARGEST, "a number is too long", ArithmeticError)
+    def __init__(self, *values):
+        short = all(max(abs(x.numerator), x.denominator) <= HIGHEST for x in values)
+        need(short, "a number is too long", ArithmeticError)
+        self.lower, self.upper = min(values), max(values)
 
     def __add__(self, other):
         return Interval(self.lower + other.lower, self.upper + other.upper)
@@ -197,8 +216,8 @@ class Interval:
         return Interval(self.lower - other.upper, self.upper - other.lower)
 
     def __mul__(self, other):
-        ends = [x * y for x in (self.lower, self.upper) for y in (other.lower, other.upper)]
-        return Interval(max(min(ends), Fraction(0)) if self is other else min(ends), max(ends))
+        product = Interval(*(x * y for x in (self.lower, self.upper) for y in (other.lower, other.upper)))
+        return Interval(max(product.lower, Fraction(0)), product.upper) if self is other else product
 
     @staticmethod
     def call(node, *given):
@@ -256,11 +275,13 @@ def symmetric(weight, n):
     """The symmetric part of a matrix; a diagonal is its own."""
     rows = matrix(weight, n)
     pairs = zip(rows, zip(*rows), strict=len(weight) != n)
-    return weight if len(weight) == n else [HALF * (x + y) for pair in pairs for x, y in zip(*pair)]
+    half = number(Fraction(1, 2))
+    return weight if len(weight) == n else [half * (x + y) for pair in pairs for x, y in zip(*pair)]
 
 
 def pivots(rows):
     """Pivots of a symmetric matrix by elimination: they are positive if and only if the matrix is positive definite."""
+    need(len(rows) <= ROWS, "a matrix is too large")
     found = []
     while rows:
         (pivot, *first), *rest = rows
@@ -276,15 +297,17 @@ def read(value, shape):
         need(value.keys() == shape.keys(), f"missing or unknown: {', '.join(sorted(value.keys() ^ shape.keys()))}")
         return SimpleNamespace(**{key: read(value[key], own) for key, own in shape.items()})
     if isinstance(shape, list):
-        need(type(value) is list, "expected a list")
+        need(type(value) is list and len(value) < LARGEST, "expected a list")
         return [read(item, shape[0]) for item in value]
     if isinstance(shape, tuple):
         return None if value is None else read(value, shape[0])
     if not isinstance(shape, set | type):
         return shape(value)
     found = type(value) in (str, int) and value in shape if isinstance(shape, set) else type(value) is shape
-    fits = value.isprintable() if type(value) is str else type(value) is not int or 0 <= value < LARGEST
-    need(found and fits, f"unknown: {value!r:.40}")
+    fits = type(value) is not int or 0 <= value < LARGEST
+    if type(value) is str:
+        fits = value.isascii() and value.isprintable()  # letters of two alphabets may look alike
+    need(found and fits, f"unknown: {value!a:.40}")
     return value
 
 
@@ -303,6 +326,7 @@ class Certificate:
 
     def __init__(self, data):
         need(type(data) is dict and data.get("version") == 4, "version: expected 4; write the file again")
+        NODES.clear()
         vector = self.vector
         joint = {"kind": {"revolute", "prismatic"}, "axis": vector, "place": vector, "body": vector}
         shape = {  # in the order of reading
@@ -312,7 +336,7 @@ class Certificate:
             "over": {"flow", "sample"},
             "symbols": self.read_symbols,
             "program": self.read_program,
-            "vectors": [[lambda k: at(self.program, k + 1)]],
+            "vectors": [self.read_vector],
             "rates": self.read_rates,
             "terms": [self.read_term],
             "robots": [{"position": str, "joints": [joint], "rotors": vector, "gravity": vector, "torque": vector}],
@@ -326,13 +350,17 @@ class Certificate:
         for key, own in shape.items():
             setattr(self, key, read(data[key], own))
         self.samples, self.derivatives = self.over == "sample", {}
+        need({*map(type, self.about.values())} <= {str}, "about: expected texts")
         flow = self.robots or self.stable or self.ranks or {x.rule for x in self.terms} - {"square", "projected"}
         need(not (self.samples and flow), "a rule that is unknown over a sample")
         need(any(term.role == "stored" for term in self.terms), "V has no term")
         corrections = [x for term in self.terms if term.rule == "projected" for x in term.parts.correction]
         need(self.samples or len({*corrections}) == len(corrections), "a correction occurs twice")
         self.stated = [f"{item.signal} {item.says}" for item in self.conclusions]
-        need(len({*self.stated}) == len(self.stated), "a conclusion occurs twice")
+        conditions, weights = [x.name for x in self.conditions], [x.name for x in self.terms if x.assumed]
+        matrices = [name for name, *_ in {(x.name, *x.matrix) for x in self.ranks}]
+        for names in (self.stated, conditions, weights, matrices):
+            need(len({*names}) == len(names), "a name of two conclusions, conditions, assumed weights or matrices")
         for node, rate in self.rates.items():
             given = not self.samples and self.kinds_in([rate]) <= {"constant", "given", "time"}
             need(self.kind(node) == "state" or (self.kind(node) == "given" and given), f"{node.value[0]}: a rate")
@@ -340,14 +368,16 @@ class Certificate:
     def read_symbols(self, items):
         """The nodes of each label."""
         found, self.kinds, self.numbers, self.fixed = {}, {}, {}, {}
-        for item in read(
-            items, [{"label": str, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}]
-        ):
+        shape = {"label": str, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}
+        items = read(items, [shape])
+        need(sum(item.size for item in items) < LARGEST, "too many symbols")
+        for item in items:
+            given = item.numbers is not None
+            need(item.size, f"{item.label}: no elements")
             need(item.label not in found, f"{item.label}: a symbol occurs twice")
-            need(item.numbers is None or item.kind == "constant", f"{item.label}: numbers of a {item.kind}")
+            need(item.kind == "constant" if given else not item.exact, f"{item.label}: its numbers")
             nodes = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
             found[item.label], self.kinds[item.label] = nodes, item.kind
-            given = item.numbers is not None or item.exact
             for node, (lower, upper) in zip(nodes, item.numbers or (), strict=given):
                 need(lower == upper if item.exact else lower <= upper, f"{item.label}: its numbers")
                 self.numbers[node] = Interval(lower, upper)
@@ -356,7 +386,7 @@ class Certificate:
 
     def read_program(self, value):
         """A zero, and the nodes of all instructions."""
-        shape = {"operations": [str], "code": [int], "a": [int], "b": [int], "constants": [rational]}
+        shape = {"operations": [OPERATIONS], "code": [int], "a": [int], "b": [int], "constants": [rational]}
         program, labels, nodes, self.divided = read(value, shape), list(self.symbols), [ZERO], []
         constants = list(map(number, program.constants))
         for k, first, second in zip(program.code, program.a, program.b, strict=True):
@@ -367,11 +397,13 @@ class Certificate:
                 nodes.append(at(self.symbols[at(labels, first)], second))
             else:
                 x, y = at(nodes, first + 1), at(nodes, second + 1)
-                need(name in UNARY or name in BINARY, f"unknown operation {name:.30}")
-                own = Node(name, x) if name in UNARY else Node(name, x, y)
-                nodes.append(ARITHMETIC[name](x, y) if name in ARITHMETIC else own)
-                self.divided += [Node("inv", y)] * (name == "div")  # a divisor must not vanish, even in a part times 0
+                nodes.append(built(name, x) if name in UNARY else built(name, x, y))
+                self.divided += [inverse(y)] * (name == "div")  # a divisor must not vanish, even in a part times 0
         return nodes
+
+    def read_vector(self, places):
+        need(places and {*map(type, places)} == {int}, "a vector: expected places")
+        return [at(self.program, k + 1) for k in places]
 
     def read_rates(self, value):
         """The rate, or the next value, of each symbol that has one."""
@@ -421,7 +453,7 @@ def term_value(of, term):
         x = plus(a, part.correction) if of.samples else a
         return ZERO - dot(w, times(minus(x, part.true), part.correction))
     if term.rule == "potential":  # 2 w v^2 (sqrt(1 + (a / v)^2) - 1)
-        return dot(w, each(lambda v, root: v * v * (root - ONE), part.scale, roots(part))) / HALF
+        return dot(w, each(lambda v, root: v * v * (root - ONE), part.scale, roots(part))) * number(2)
     phi = [[Node(term.rule, x) for x in over(own, part.scale)] for own in (a, part.other)]
     return dot(w, times(minus(a, part.other), minus(*phi)))  # w (a - b) (phi(a / v) - phi(b / v))
 
@@ -455,9 +487,11 @@ def robot(of, item):
     gravity)').
     """
     q, T, frames, last = of.symbols[item.position], unit(4, ZERO, ONE), [], [ZERO, ZERO, ZERO, ONE]
+    need({*map(of.kind, q)} == {"state"}, "the robot's position is no state")
     for joint, x in zip(item.joints, q, strict=True):
-        still = symbols([*joint.place, *joint.axis, *joint.body, *item.rotors]) - {x}
-        need({of.kind(node) for node in still} <= {"constant"}, "a joint or a body that moves by itself")
+        still = of.kinds_in([*joint.axis, *joint.body, *item.rotors, *item.gravity])
+        still |= {of.kind(node) for node in symbols(joint.place) - {x}}
+        need(still <= {"constant"}, "a joint, a body or gravity that moves by itself")
         A, (a, b, c) = [*matrix(joint.place, 3), last], joint.axis
         first, second, third = (row[:3] for row in A[:3])
         norms = [dot(u, u) - ONE for u in (first, second, joint.axis)]
@@ -493,7 +527,7 @@ def equalities(of):
     for term in of.terms:
         value = term_value(of, term)
         if term.role == "stored":
-            V, total = V + value, total + HALF * of.change(value)
+            V, total = V + value, total + number(Fraction(1, 2)) * of.change(value)
         else:
             total = total + value if term.role == "dissipated" else total - value
         if term.rule == "projected":
@@ -642,6 +676,7 @@ class Conclusions:
         self.of, self.signs, self.p, self.points, self.gone = of, signs, random_prime(SIZES[1]), [], []
         field, elements = Field(self.p), flat(of.symbols.values())
         self.columns = [x for x in elements if of.kind(x) in ("state", "time")]
+        need(len(self.columns) <= WIDEST, "too many states")
         self.loose = {x for x in elements if of.kind(x) == "correction"}
         self.given = {x: field.random(x) for x in elements if of.kind(x) == "constant"} | with_numbers(of, field)
         self.places = [(Field(self.p, frozen=True), dict(self.given)) for _ in range(2)]
@@ -653,6 +688,7 @@ class Conclusions:
             pass
         ends = [x.vector for x in self.wanted if x.says == "goes to zero"] + [nodes for _, nodes, _ in self.limits]
         self.count = 4 + sum(map(len, ends))
+        need(self.count <= WIDEST, "too many vanishing signals")
         self.basis = unit(self.count)
 
     def premises(self):
@@ -752,10 +788,10 @@ class Conclusions:
                 return [f"{item.signal} {item.says}" for item in shown]
 
 
-def with_residual(of):
+def with_residual(of, strict):
     """What holds for any residual: all that is dissipated is in sum at most V at the start and the residual."""
     yield "V does not rise where the residual is zero"
-    for term in of.terms:
+    for term in strict:
         if term.role == "dissipated" and term.rule == "square":
             yield f"{term.name} is {'summable' if of.samples else 'integrable'} where the residual is"
     for label, nodes in of.symbols.items() if of.samples else ():
@@ -773,7 +809,7 @@ def clipped(of, node):
 def proved(of):
     (error, points), signs = identity(of), Signs(of)
     if of.samples or any(term.role == "residual" for term in of.terms):
-        shown = list(dict.fromkeys(with_residual(of)))
+        shown = list(dict.fromkeys(with_residual(of, signs.strict)))
     else:
         shown = Conclusions(of, signs).check()
     given, still = ([x for x, kind in of.kinds.items() if kind == own] for own in ("given", "constant"))
@@ -781,14 +817,14 @@ def proved(of):
     some = [label for label in still if not exact >= {*of.symbols[label]}]
     lists = {"constant": still, "bounded": given, "conclusions are for almost all values of": some}
     texts = [f"{text}: {', '.join(x)}" for text, x in lists.items() if x and (text == "constant" or not of.samples)]
-    chain = "a chain of {} rigid bodies, whose acceleration follows from a torque of {}"
+    chain = "{}: a chain of {} rigid bodies, whose acceleration follows from a torque of {}"
     reads = [", ".join(sorted({x.value[0] for x in symbols(item.torque)})) for item in of.robots]
     return {
         "status": "re-proved",
         "statement": "V(next) - V" if of.samples else "dV/dt",
         "log2_error": round(error),
         "points": points,
-        "robot": [chain.format(len(item.joints), text) for item, text in zip(of.robots, reads)],
+        "robot": [chain.format(x.position, len(x.joints), text) for x, text in zip(of.robots, reads)],
         "only_at_exact_values_of": sorted({node.value[0] for node in of.fixed}),
         "conclusions": shown,
         "not_checked": [x for x in of.stated if x not in shown],
@@ -815,10 +851,10 @@ def main(arguments):
     paths = [x for x in arguments if x != "--json"]
     try:
         need(len(paths) == 1, "usage: python check.py FILE [--json]")
-        with open(paths[0], encoding="utf-8") as file:
+        with open(paths[0], "rb") as file:
             content = file.read(LONGEST)
         need(len(content) < LONGEST, "the file is too long")
-        result = check(json.loads(content, object_pairs_hook=unique, parse_constant=rational))
+        result = check(json.loads(content.decode(), object_pairs_hook=unique, parse_constant=rational))
     except Exception as error:  # of a file that is no certificate
         result = {"status": "refused", "reason": f"{type(error).__name__}: {error}"}
     sys.stdout.reconfigure(errors="backslashreplace")

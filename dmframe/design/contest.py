@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Final, final
 
 from dmframe.design.decide import Candidate, Ranking, ranked
 from dmframe.race.compute import Kept, computed
-from dmframe.race.plan import Run
+from dmframe.race.plan import Cell, Run
 from dmframe.race.protocol import Choice
 from dmframe.race.run import Finished
 
@@ -28,6 +29,11 @@ class Contest:
     def __init__(self, finished: Finished, adaptive: Sequence[str], workers: int | None) -> None:
         self._finished, self._workers = finished, workers
         self.ranking: Ranking = ranked(finished, adaptive)
+
+    @property
+    def hardest(self) -> Cell:
+        """The cell in which most laws diverged."""
+        return max(self._finished.rows, key=lambda row: sum(map(math.isinf, row.errors.values()))).cell
 
     def candidates(self, *, adaptive: bool) -> Iterator[Candidate]:
         """Laws of a kind in the order of their errors; of each the values with the best training scores."""

@@ -22,6 +22,7 @@ from dmframe.design.family import Family, identified, makers
 from dmframe.design.handover import command_of, handed_over, set_aside
 from dmframe.design.limits import limits_text
 from dmframe.design.motion import Motion, first_path, motion_of, own_motion, tool_motion
+from dmframe.design.obstacle import obstacle
 from dmframe.design.path_file import PathFile, read_path
 from dmframe.design.points import points_of
 from dmframe.design.progress import Progress, Say
@@ -238,6 +239,9 @@ def _simple(
     laws = {why: [law for law, other in reasons.items() if other == why] for why in reasons.values()}
     left = "; ".join(f"{listed(names)}: {why}" for why, names in laws.items())
     left = left or "each law without a model diverged on one of the plants"
+    lost = not any(math.isfinite(item.error) for item in contest.ranking.candidates)
+    if lost and (cause := obstacle(race, contest.hardest)):
+        return replace(found, reason=cause, other=None)
     return replace(found, reason=f"{why}; {left}", other=adaptive)
 
 

@@ -62,7 +62,8 @@ def _laws(found: Designed) -> Table:
     unit = found.unit
     heads: list[Cell] = ["law", "kind", f"median, {unit}", f"largest, {unit}", "diverged", "tuned values"]
     count = len(found.ranking.candidates[0].errors)
-    caption = f"RMS error over the last eighth of {found.seconds:g} s, on {count} cells on which no law was tuned."
+    cells = f"{count} cells: pairs of a servo and a path on which no law was tuned"
+    caption = f"RMS error over the last eighth of {found.seconds:g} s, on {cells}."
     return Table(rows, heads, caption, kind="study", keys=True, numbers=(2, 3, 4))
 
 

@@ -40,10 +40,16 @@ ROTOR: Final = (0.4, 0.03)
 VISCOUS: Final = 1 / 40
 COULOMB: Final = 1 / 50
 """Friction relative to K_D, as that of a real UR10e to the servo of the packaged UR10 [-, rad/s]."""
+MOST_VISCOUS: Final = 0.15
+MOST_COULOMB: Final = 0.12
+"""Largest placeholders of friction relative to a joint's torque limit: a motor can turn its own joint [s/rad, -]."""
 PERIOD: Final = 0.008
 """Sampling period [s]."""
 STEP: Final = 0.2
 """Fraction of an error that adaptation may remove within one sample; from 2 on it diverges."""
+EFFORT: Final = 0.35
+"""Fraction of a joint's torque limit up to which its weight does not count against a posture: the motion, friction and
+a load need the rest."""
 SAMPLES: Final = 400
 """Postures tried for the centre of the motion."""
 REACH: Final = {"revolute": 0.25, "prismatic": 0.05}
@@ -183,6 +189,8 @@ def _text(
     rotor = _rotors(chain, links, armature)
     inertia = links + rotor
     K_D = np.maximum(RATE * inertia, weight / (RATIO_P * np.array([SAG[joint.kind] for joint in chain.joints])))
+    viscous = np.minimum(VISCOUS * K_D, MOST_VISCOUS * _efforts(chain))
+    coulomb = np.minimum(COULOMB * K_D, MOST_COULOMB * _efforts(chain))
     # a sample changes the command by w Y Gamma Y' sigma and by Lambda tau^2 sigma, times the period
     Gamma = STEP / PERIOD / np.max(rows / K_D)
     Lambda = STEP / PERIOD / np.maximum(weight + inertia, 1e-2 * weight.max()) ** 2
@@ -214,7 +222,7 @@ blocks:
              w: {_list(0.5 / K_D)}, w_P: 2, w_I: 0.7, w_box: {box}, w_P_box: [1, 3], w_I_box: [0.5, 2]}}
   # Placeholders, hidden from the controller: manufacturers do not publish them.
   servo:    {{type: pid_servo, K_D: {_list(K_D)}, K_P: {_list(RATIO_P * K_D)}, K_I: {_list(RATIO_I * K_D)}}}
-  arm:      {{type: manipulator, viscous: {_list(VISCOUS * K_D)}, coulomb: {_list(COULOMB * K_D)},
+  arm:      {{type: manipulator, viscous: {_list(viscous)}, coulomb: {_list(coulomb)},
              rotor: {_list(rotor)}}}
 # The same feedback gain without adaptation. Neither law is tuned; `dmframe design` compares tuned ones.
 baseline:
@@ -248,8 +256,8 @@ def _amplitude(joint: Joint) -> float:
 
 
 def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
-    """Posture with the best dexterity times distance to the limits, and of each joint the largest inertia, the largest
-    gravity torque, and the largest squared norm of its row of the regressor.
+    """Posture with the best dexterity times distance to the limits times reserve of torque, and of each joint the
+    largest inertia, the largest gravity torque, and the largest squared norm of its row of the regressor.
 
     Dexterity is the least singular value of the tool's Jacobian, of its position if there are fewer than six joints,
     with lengths relative to the largest.
@@ -259,13 +267,15 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
     random, data = np.random.default_rng(0), chain.model.createData()
     ends = [_range(joint) for joint in chain.joints]
     lower, upper = np.array(ends).T
+    efforts = _efforts(chain)
     best, found = -1.0, (lower + upper) / 2
     inertia, torque, rows = np.zeros((3, chain.n))
     for q in (found, *random.uniform(lower, upper, (SAMPLES, chain.n))):
         configuration = pin_configuration(chain, q)
         pin.crba(chain.model, data, configuration)
         inertia = np.maximum(inertia, np.diag(data.M))
-        torque = np.maximum(torque, np.abs(pin.computeGeneralizedGravity(chain.model, data, configuration)))
+        weight = np.abs(pin.computeGeneralizedGravity(chain.model, data, configuration))
+        torque = np.maximum(torque, weight)
         motion = np.full(chain.n, SPEED), np.full(chain.n, ACCELERATION)
         # Pinocchio drops the axis of a single joint
         regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, *motion).reshape(chain.n, -1)
@@ -276,10 +286,16 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         ).reshape(6, -1)[:3]
         values = np.linalg.svd(jacobian, compute_uv=False)
         margin = np.min(np.minimum(q - lower, upper - q) / np.maximum(upper - lower, 1e-9))
-        score = values[min(chain.n, 3) - 1] / max(values[0], 1e-9) * min(1.0, 4 * margin)
+        reserve = min(1.0, EFFORT / max(float(np.max(weight / efforts)), 1e-9)) ** 2
+        score = values[min(chain.n, 3) - 1] / max(values[0], 1e-9) * min(1.0, 4 * margin) * reserve
         if score > best:
             best, found = score, q
     return np.round(found, 3), inertia, torque, rows
+
+
+def _efforts(chain: SerialChain) -> Column:
+    """Torque limits [N m, N]; infinite if there are none."""
+    return np.array([joint.effort if joint.effort > 0 else np.inf for joint in chain.joints])
 
 
 def _range(joint: Joint) -> tuple[float, float]:

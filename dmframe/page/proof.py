@@ -66,7 +66,7 @@ _GIVEN: Final = frozenset(
     "Uint32Array Uint8Array Math min max abs ceil log2 round sqrt floor BigInt Number String Array Object keys values "
     "entries assign hasOwn fromEntries Map Set Error get set has add delete map filter flatMap flat forEach reduce "
     "every some find includes indexOf join split slice push length fill sort reverse test toString name message "
-    "isArray isSafeInteger from splice asUintN RegExp "
+    "isArray isSafeInteger from splice asUintN "
     "as do is".split()
 )
 """Names of the language and of its library that a script may use."""

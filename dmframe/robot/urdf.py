@@ -112,6 +112,7 @@ def _leave_out(root: ElementTree.Element, lines: Lines, where: str, moved: set[s
 
 
 def _mimics(root: ElementTree.Element, lines: Lines, where: str) -> dict[str, Mimic]:
+    """Laws of mimic joints; a fixed joint, for which some files have one too, follows none."""
     names, found = {joint.get("name", "") for joint in root.findall("joint")}, dict[str, Mimic]()
     for joint in root.findall("joint"):
         if (mimic := joint.find("mimic")) is None:
@@ -123,6 +124,8 @@ def _mimics(root: ElementTree.Element, lines: Lines, where: str) -> dict[str, Mi
                 "name of a joint of this file",
                 path=URDF_PATH,
             )
+        if joint.get("type") == "fixed":
+            continue
         scale, offset = (numbers(mimic.get(key, rest))[0] for key, rest in (("multiplier", "1"), ("offset", "0")))
         found[joint.get("name", "")] = Mimic(leader, scale, offset)
     return found

@@ -1,9 +1,9 @@
-"""`dmframe design` on many robots: ``python -m tests.benchmarks.designs ROBOT... --chains 20 --out DIR``.
+"""`dmframe design` on many robots: ``python -m tests.benchmarks.designs ROBOT... --chains 100-119 --out DIR``.
 
 Designs one robot after another, each within a time limit, then runs and verifies the graph that was handed over. A
-robot is a name or a file; `--chains` adds random ones. Finished robots are kept in the folder, and the table is printed
-as Markdown. The exit status is 1 if a design ended in another way than adaptive, simple or blocked, took longer than
-its limit, or if its graph diverges or is not verified.
+robot is a name or a file; `--chains` adds random ones, by their seeds. Finished robots are kept in the folder, and the
+table is printed as Markdown. The exit status is 1 if a design ended in another way than adaptive, simple or blocked,
+took longer than its limit, or if its graph diverges or is not verified.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from tests.random_chains import random_chain
 RESULTS: Final = "designs.jsonl"
 OUTCOMES: Final = ("adaptive", "simple", "blocked")
 HEADS: Final = ("robot", "axes", "outcome", "law", "error", "its run", "best of the other kind", "unit", "CPU s")
-SEED: Final = 100
 SLIDING: Final = 0.04
 
 
@@ -35,7 +34,9 @@ def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("python -m tests.benchmarks.designs", description=__doc__)
     found.add_argument("robots", nargs="*", metavar="ROBOT", help="names or files")
     found.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the designs")
-    found.add_argument("--chains", type=int, default=0, metavar="N", help="random chains")
+    found.add_argument(
+        "--chains", type=_seeds, default=[], metavar="SEEDS", help="random chains, as 100-119 or 100,107"
+    )
     found.add_argument("--limit", type=float, default=600.0, metavar="S", help="longest time of a design")
     found.add_argument("--workers", type=int, default=2, help="processes of a design")
     found.add_argument("--until", metavar="HH:MM", help="time of day (UTC) after which no design starts")
@@ -115,11 +116,17 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.2g}" if value < 100 else f"{value:.0f}"
 
 
+def _seeds(text: str) -> list[int]:
+    """Numbers, as 100-119 or 100,107."""
+    ends = [[int(end) for end in part.split("-")] for part in text.split(",")]
+    return [seed for first, *last in ends for seed in range(first, (last[0] if last else first) + 1)]
+
+
 def _robots(chosen: argparse.Namespace) -> Iterator[tuple[str, str]]:
     stems = [Path(robot).name.partition(".")[0] for robot in chosen.robots]
     for robot, stem in zip(chosen.robots, stems, strict=True):
         yield (stem if stems.count(stem) == 1 else f"{Path(robot).parent.name}_{stem}"), robot
-    for seed in range(SEED, SEED + chosen.chains):
+    for seed in chosen.chains:
         with tempfile.TemporaryDirectory() as folder:
             made = random_chain(Path(folder), seed, sliding=SLIDING, untidy=True)
             text = made.read_text(encoding="utf-8")

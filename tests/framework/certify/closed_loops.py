@@ -235,10 +235,11 @@ def _robust(robot: Any) -> Loop:
 
 
 def _rotors(robot: Any) -> Loop:
-    """Rotor inertia in plant and regressor, which no packaged graph has."""
+    """Rotor inertia in plant and regressor, and position feedback of the reference, which no packaged graph has."""
     known = loop_of(robot, "joint", "PI").specs
     options: dict[str, Spec] = {
-        "model": ("regressor", {**known["model"][1], "rotors": True}),
+        "model": ("regressor", {**known["model"][1], "rotors": True, "bias": True}),
+        "inverse": ("pi_inverse", {**known["inverse"][1], "K_c": 0.8}),
         "arm": ("manipulator", {**known["arm"][1], "rotor": 0.3}),
     }
     return Loop(f"{robot.name} rotors PI", robot, {**known, **options})

@@ -62,7 +62,7 @@ def held() -> frozenset[str]:
     return frozenset(kind for loop in loops() for kind in loop.types)
 
 
-LEAST = {"helpers": 2, "adapting": 1}
+LEAST = {"helpers": 2, "adapting": 1, "linalg": 6}
 """Faults refuted of a sample of 20: no proof depends on the paths of sources, which are most of the shared code, and
 an adaptation with another group of signals names a signal that this group does not contain."""
 
@@ -120,8 +120,8 @@ def test_no_fault_in_the_equations_of_any_block_is_proved_unless_dv_dt_remains_t
 @pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("kind", ["pi_servo", "pi_inverse", "dynamic_compensator", "joint_tracking"])
 def test_a_fault_in_the_equations_of_one_block_of_each_stage_is_refuted(kind: str) -> None:
-    fault = next(block_mutants(kind, known_blocks()[kind]))
-    assert tried(fault)[0].outcome == "refuted"
+    outcomes = (tried(fault)[0].outcome for fault in block_mutants(kind, known_blocks()[kind]))
+    assert next(outcome for outcome in outcomes if outcome != "no diagram") == "refuted"
 
 
 def test_every_block_with_equations_of_motion_and_a_certificate_is_in_a_closed_loop() -> None:

@@ -108,7 +108,7 @@ def test_a_run_has_a_notice_of_a_path_that_leaves_the_reach_while_it_lasts() -> 
     moving = {"type": "circle", "center": [0.4, 0.2], "radius": 0.05, "rate": "1 rad/s"}
     for path, expected in (({**moving, "radius": 5.0}, 1), (moving, 0)):
         graph = following(path)
-        notices = [text for text in graph.run(until=0.05).notices if "no controller can follow it there" in text]
+        notices = [text for text in graph.run(until=0.05).notices if "no controller can track it there" in text]
         assert len(notices) == expected, notices
 
 

@@ -225,7 +225,7 @@ def more() -> Iterator[Attack]:
 
     file = stable()
     concluded(file.data, file.vector())
-    yield "a conclusion about an empty vector", file.data, "w"
+    yield "a conclusion about an empty vector", file.data, "refused"
 
     file = stable()
     free = file.symbol("free", "constant")
@@ -303,7 +303,7 @@ def more() -> Iterator[Attack]:
 
     file = stable()
     file.names.append("system")
-    yield "an operation that is not used", file.data, "re-proved"
+    yield "an operation that is not used", file.data, "refused"
     file = stable()
     file.names.append("system")
     file.instruction("system", 0, 0)

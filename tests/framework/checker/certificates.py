@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import importlib.util
 import json
 import shutil
@@ -94,9 +95,13 @@ def replaced(data: dict[str, Any], vector: int) -> int:
 
 SCRIPT: Final = CHECKER.with_suffix(".js")
 DRIVER: Final = (
-    "const { check } = require(process.argv[1]);"
+    "const { check, read } = require(process.argv[1]);"
     "const files = JSON.parse(require('fs').readFileSync(0, 'utf8'));"
-    "console.log(JSON.stringify(files.map((file) => check(file))));"
+    "const result = (file) => {"
+    "  try { return check(read(Buffer.from(file, 'base64'))); }"
+    "  catch (fault) { return { status: 'refused', reason: fault.message }; }"
+    "};"
+    "console.log(JSON.stringify(files.map(result)));"
 )
 SAME: Final = (
     "statement",
@@ -110,9 +115,8 @@ SAME: Final = (
 
 
 def common(found: dict[str, Any]) -> dict[str, Any]:
-    """These parts, without the symbols of a torque: differences of one expression with itself are read or not."""
-    own = {key: found.get(key) for key in SAME}
-    return {**own, "robot": [text.partition(", whose")[0] for text in own["robot"] or ()]}
+    """These parts."""
+    return {key: found.get(key) for key in SAME}
 
 
 def node_path() -> str:
@@ -123,10 +127,15 @@ def node_path() -> str:
     return node
 
 
-def in_node(files: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Result of `check.js` for each file."""
+def in_node(files: Sequence[dict[str, Any] | bytes]) -> list[dict[str, Any]]:
+    """Result of `check.js` for each file, or content of a file."""
+    contents = [file if isinstance(file, bytes) else json.dumps(file).encode() for file in files]
     done = subprocess.run(
-        [node_path(), "-e", DRIVER, str(SCRIPT)], input=json.dumps(files), capture_output=True, text=True, check=False
+        [node_path(), "-e", DRIVER, str(SCRIPT)],
+        input=json.dumps([base64.b64encode(content).decode() for content in contents]),
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     found: list[dict[str, Any]] = json.loads(done.stdout)

@@ -4,7 +4,7 @@ Every change that the checker accepts must be harmless, which is decided without
 numbers: either all that the file states has the same values at random points as before (`same`), or what it states
 holds there (`holds`): terms are positive, dV/dt by differences along the file's rates is the negative dissipation and
 at most the residual, conditions have their signs, true values are in their boxes, and estimates follow their steps. The
-other checker must then come to the same conclusions. Changed texts are counted apart.
+other checker must come to the same outcome for every change, and to the same result. Changed texts are counted apart.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def leaves(item: Any, path: Path_ = ()) -> Iterator[tuple[Path_, Any]]:
 def changed(value: Any, path: Path_, data: dict[str, Any], rng: random.Random) -> Any:
     """Another value of the same kind, or of another one."""
     if rng.random() < 0.03:
-        return rng.choice([None, True, "1", -1, 10**9, 0.5, [], {}])
+        return rng.choice([None, True, "1", -1, 10**9, 0.5, [], {}, [value]])
     if isinstance(value, bool):
         return not value
     if isinstance(value, int):
@@ -293,11 +293,11 @@ def accepted(name: str) -> dict[str, Any]:
 def judged(tasks: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
     """Outcomes of changed files, by name and seed, and what was changed."""
     found = list(starmap(_judged, tasks))
-    others = [(k, data, own) for k, (outcome, _, data, own) in enumerate(found) if outcome == TRUE]
-    outcomes = [(outcome, where) for outcome, where, *_ in found]
-    for (k, _, own), other in zip(others, in_node([data for _, data, _ in others]), strict=True):
-        if common(other) != common(own):
-            outcomes[k] = ("FALSE", f"{outcomes[k][1]}: the other checker: {other}")
+    outcomes = list[tuple[str, str]]()
+    others = in_node([data for _, _, data, _ in found])
+    for (outcome, where, _, own), other in zip(found, others, strict=True):
+        agreed = (own["status"], common(own)) == (other["status"], common(other))
+        outcomes.append((outcome, where) if agreed else ("FALSE", f"{where}: {own}; the other checker: {other}"))
     return outcomes
 
 

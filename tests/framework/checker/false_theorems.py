@@ -16,7 +16,7 @@ from tests.framework.checker.written import File, concluded, stable
 
 def false_theorems() -> Iterator[Attack]:
     """All of them."""
-    return chain(_words(), _functions(), _constants(), _bodies(), _linear(), _numbers())
+    return chain(_words(), _functions(), _constants(), _bodies(), _chains(), _linear(), _numbers())
 
 
 def _words() -> Iterator[Attack]:
@@ -177,6 +177,67 @@ def _bodies() -> Iterator[Attack]:
     torque = file.vector(file.instruction("mul", m, a))
     file.data["robots"] = [{"position": "q", "joints": [joint], **own, "torque": torque}]
     yield "a torque that is what the acceleration needs", file.data, "robot a torque of m, q, v"
+
+
+def _chains() -> Iterator[Attack]:
+    """A joint turns about a constant axis, bodies and gravity do not move by themselves, and positions are states."""
+    yield "a chain that turns about a constant axis", _turning().data, "robot q: a chain of 1 rigid bodies"
+    file = _turning()
+    robot, half = file.data["robots"][0], file.number("1/2")
+    slow, body = file.data["vectors"][file.data["rates"]["v"]][0], file.data["vectors"][robot["joints"][0]["body"]]
+    robot["joints"][0]["body"] = file.vector(*body[:6], half, *body[7:])  # it is heavier on one side
+    arm = file.instruction("mul", half, file.instruction("cos", 0))
+    pull = file.instruction("div", file.instruction("mul", file.number("2"), slow), arm)
+    robot |= {"gravity": file.vector(-1, pull, -1), "torque": file.vector(-1)}
+    yield "gravity that moves a body without a torque as the states decide", file.data, "refused"
+    yield "a joint whose axis moves with it", _turning(moving=True).data, "refused"
+    file = _turning()
+    for item in file.data["symbols"]:
+        item["kind"] = "given"
+    yield "a chain whose positions are given", file.data, "refused"
+    file = _turning()
+    q, s = 0, file.symbol("s", "state")
+    file.data["rates"]["s"] = file.vector(-1)
+    product = file.instruction("mul", q, s)
+    twice = file.instruction("add", product, product)
+    nothing = file.instruction("sub", twice, file.instruction("mul", product, file.number("2")))
+    joint = file.data["robots"][0]["joints"][0]
+    joint["place"] = file.vector(*file.data["vectors"][joint["place"]][:9], nothing, -1, -1)
+    yield "a transform that names another state", file.data, "refused"
+
+
+def _turning(*, moving: bool = False) -> File:
+    """A sphere with the inertia 2 about each axis, which turns about z, with the acceleration -q - v.
+
+    With `moving` it turns by the rotation Rz(3 q/5) Rx(4 q/5): the axis (4, 3 sin(4 q/5), 3 cos(4 q/5))/5 has unit
+    length and obeys dA/dq = A K, but is not constant.
+    """
+    file = File()
+    file.names.append("cos")
+    q, v = (file.symbol(label, "state") for label in "qv")
+    make, zero, one = file.instruction, -1, file.number("1")
+
+    def scaled(factor: str, place: int) -> int:
+        return make("mul", file.number(factor), place)
+
+    turns = [scaled("3/5", q), scaled("4/5", q)] if moving else [q]
+    (ca, sa), (cb, sb) = ([(make("cos", x), make("sin", x)) for x in turns] + [(one, zero)])[:2]
+    columns, axis = [ca, sa, zero, scaled("-1", sa), ca, zero, zero, zero, one], [zero, zero, one]
+    if moving:
+        columns[3:] = [scaled("-1", make("mul", sa, cb)), make("mul", ca, cb), sb]
+        columns += [make("mul", sa, sb), scaled("-1", make("mul", ca, sb)), cb]
+        axis = [file.number("4/5"), scaled("3/5", sb), scaled("3/5", cb)]
+    slow = make("sub", scaled("-1", q), v)
+    file.data["rates"] = {"q": file.vector(v), "v": file.vector(slow)}
+    file.term("stored", file.vector(q, v), file.vector(one, one))
+    file.term("dissipated", file.vector(v), file.vector(one))
+    body = file.vector(one, zero, one, zero, zero, one, zero, zero, zero, one)
+    place = file.vector(*columns, zero, zero, zero)
+    joint = {"kind": "revolute", "axis": file.vector(*axis), "place": place, "body": body}
+    own = {"rotors": file.vector(zero), "gravity": file.vector(zero, zero, zero)}
+    torque = file.vector(scaled("2", slow))
+    file.data["robots"] = [{"position": "q", "joints": [joint], **own, "torque": torque}]
+    return file
 
 
 def _growing(kind: str) -> File:

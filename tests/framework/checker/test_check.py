@@ -40,6 +40,7 @@ from tests.framework.checker.certificates import (
     text_of,
 )
 from tests.framework.checker.false_theorems import false_theorems
+from tests.framework.checker.readings import equals, readings, texts
 from tests.framework.checker.written import circular, dominated, sampled, stable
 
 
@@ -94,6 +95,15 @@ def test_what_it_does_not_derive_is_listed_by_name(name: str, text: str) -> None
         assert text in found["not_checked"]
         assert text not in found["conclusions"]
         assert said(verdict, data) <= {*found["conclusions"], *found["not_checked"], *found["assumed"]}
+
+
+def test_other_letters_than_ascii_are_escaped_in_names() -> None:
+    verdict = dm.load("pendulum").verify().verdict
+    first, *others = verdict.conditions
+    named = replace(verdict, conditions=(replace(first, name="\u03b1 > 0"), *others))
+    data = certificate_of(named, {"graph": "\u03b1"})
+    assert (data["conditions"][0]["name"], data["about"]) == (r"\u03b1 > 0", {"graph": "\u03b1"})
+    assert [found["status"] for found in (result(data), *in_node([data]))] == ["re-proved"] * 2
 
 
 def test_the_weight_of_a_cascade_must_exceed_the_least_kappa() -> None:
@@ -230,7 +240,7 @@ def allows(found: dict[str, Any], allowed: str) -> bool:
     return word == "w" and not shown and any(text.startswith("w ") for text in found["not_checked"])
 
 
-@pytest.mark.parametrize("attacks", [holes, more, false_theorems])
+@pytest.mark.parametrize("attacks", [holes, more, false_theorems, readings])
 def test_a_file_that_states_more_than_is_true_is_not_accepted(attacks: Callable[[], Iterator[Attack]]) -> None:
     accepted = [(what, found) for what, data, allowed in attacks() if not allows(found := result(data), allowed)]
     assert accepted == []
@@ -241,6 +251,8 @@ def test_the_true_files_next_to_the_false_ones_are_accepted() -> None:
     assert result(dominated("1/5").data)["conclusions"] == ["w goes to zero"]
     assert result(circular(nominal="a"))["conclusions"] == ["w is bounded"]
     assert result(sampled().data)["conclusions"][-1] == "theta is bounded"
+    for what, data, concluded in equals():
+        assert result(data)["conclusions"] == concluded, what
 
 
 def test_conclusions_use_a_prime_with_a_smaller_error_than_the_identity() -> None:
@@ -262,6 +274,9 @@ def test_texts_that_are_no_certificate_are_refused(tmp_path: Path, monkeypatch: 
     ):
         path.write_bytes(wrong.encode("utf-8", "surrogatepass"))
         assert checker().main([str(path)]) == 2, wrong[:60]
+    for what, content in texts():
+        path.write_bytes(content)
+        assert checker().main([str(path)]) == 2, what
     path.write_text(text)
     assert checker().main([str(path)]) == 0
     monkeypatch.setattr(checker(), "LONGEST", len(text))
@@ -298,7 +313,8 @@ def test_the_equation_of_motion_agrees_with_pinocchio(name: str) -> None:
         S = pseudo_inertia([check.Fraction(float(value)) for value in row])
         R, axis, r = ([*map(check.number, own)] for own in (flat(joint.rotation), joint.axis, joint.translation))
         R, (a, b, c), (cos, sin) = [R[k : k + 3] for k in (0, 3, 6)], axis, (check.Node("cos", x), check.Node("sin", x))
-        skew = [[check.ZERO, check.MINUS * c, b], [c, check.ZERO, check.MINUS * a], [check.MINUS * b, a, check.ZERO]]
+        minus = check.ZERO - check.ONE
+        skew = [[check.ZERO, minus * c, b], [c, check.ZERO, minus * a], [minus * b, a, check.ZERO]]
         turn = [
             [
                 (cos if i == k else check.ZERO) + sin * skew[i][k] + (check.ONE - cos) * axis[i] * axis[k]
@@ -313,7 +329,7 @@ def test_the_equation_of_motion_agrees_with_pinocchio(name: str) -> None:
     torque = [check.Node("symbol", value=("tau", k)) for k in range(n)]
     gravity = numbers(*(check.Fraction(float(x)) for x in robot.gravity))
     item = SimpleNamespace(position="q", joints=joints, rotors=numbers(*[0] * n), gravity=gravity, torque=torque)
-    of = SimpleNamespace(symbols={"q": q}, sure_rate=rate, kind=lambda node: "state")
+    of = SimpleNamespace(symbols={"q": q}, sure_rate=rate, kind=lambda node: "state", kinds_in=lambda nodes: set())
     found = list(check.robot(of, item))
     motion = [node for text, own in found if text == "the robot's equation of motion" for node in own]
     constraints = [node for text, own in found if text != "the robot's equation of motion" for node in own]

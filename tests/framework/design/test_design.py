@@ -16,7 +16,7 @@ import dmframe as dm
 from dmframe.cli.app import app
 from dmframe.common.errors import DmframeError
 from dmframe.design import design as module
-from dmframe.design.checks import rehearsed
+from dmframe.design.checks import checks_of, rehearsed
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, Ranking, worth
 from dmframe.design.designed import Check, Designed, graph_name
@@ -216,6 +216,19 @@ def test_laws_that_fail_for_the_same_reason_are_listed_together(
     assert found.reason.endswith("; level and feedback: no limits; trend: too slow")
 
 
+@pytest.mark.parametrize("cause", ["", "a joint is at its torque limit"])
+def test_where_all_laws_diverge_the_reason_is_the_obstacle_if_one_is_found(
+    cause: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ranking = Ranking([candidate("level", [math.inf]), candidate("a", [math.inf], adaptive=True)], "mrad")
+    contest = SimpleNamespace(ranking=ranking, candidates=lambda adaptive: iter([]), hardest="cell")
+    monkeypatch.setattr(module, "obstacle", lambda race, cell: cause)
+    start = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    found = module._chosen(contest, None, None, None, start, Progress(lambda text: None))  # type: ignore[arg-type]
+    assert found.outcome == "blocked"
+    assert found.reason == cause or (not cause and "each law without a model diverged" in found.reason)
+
+
 def test_a_graph_of_the_folder_is_kept_when_another_one_takes_its_place(tmp_path: Path) -> None:
     assert set_aside(tmp_path, "graph.yaml", "new") == []
     (tmp_path / "graph.yaml").write_text("edited")
@@ -305,6 +318,15 @@ def test_a_simple_law_that_diverges_in_a_rehearsal_is_not_handed_over(
     assert text in check.text
     adaptive = candidate("experts", [1.0], adaptive=True)
     assert not rehearsed(Rehearsing(*errors), adaptive, found, Progress(lambda text: None)).passed  # type: ignore[arg-type]
+
+
+def test_a_law_that_is_not_proved_is_not_rehearsed_and_has_the_reason(tmp_path: Path) -> None:
+    verification = SimpleNamespace(proved=False, stable=False, headline="refuted", reason="inverse: no identity")
+    found = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    graph = SimpleNamespace(verify=lambda: verification)
+    law = candidate("experts", [1.0], adaptive=True)
+    (check,) = checks_of(graph, law, found, Progress(lambda text: None))  # type: ignore[arg-type]
+    assert (check.passed, check.text) == (False, "it is not proved: refuted, inverse: no identity")
 
 
 def test_without_a_compiler_it_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,17 +8,23 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import dmframe as dm
 from dmframe.common.errors import UnknownNameError
 from dmframe.design import design as module
+from dmframe.design.family import makers
 from dmframe.design.limits import limits_text
-from dmframe.design.motion import motion_of
-from dmframe.design.race_text import FIRST
+from dmframe.design.motion import first_path, motion_of
+from dmframe.design.obstacle import obstacle
+from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
 from dmframe.drive.limits import load_limits
-from dmframe.graph.first import first_graph
+from dmframe.graph.first import EFFORT, MOST_COULOMB, MOST_VISCOUS, first_graph
+from dmframe.race.plan import Run
+from dmframe.race.read import load_race
+from dmframe.robot.chain import pin_configuration
 
 
 def test_a_robot_that_is_no_arm_is_blocked_and_an_unknown_one_is_an_error(tmp_path: Path) -> None:
@@ -90,3 +96,63 @@ def test_the_limits_of_a_design_are_inside_those_of_its_robot(end: float, tmp_pa
     found = load_limits(tmp_path / "limits.yaml", robot)
     np.testing.assert_allclose(found.upper, end, rtol=1e-5)
     np.testing.assert_allclose(found.speed, end, rtol=1e-5)
+
+
+def weak_robot(kinds: str, effort: float) -> str:
+    """An arm whose first joint has this limit of effort [N m]."""
+    return sliding_robot(kinds).replace('effort="100"', f'effort="{effort}"', 1)
+
+
+def test_a_posture_is_chosen_in_which_each_joint_can_hold_the_arm(tmp_path: Path) -> None:
+    """Without a limit the best posture requires more torque of the first joint than the weak motor has."""
+    share = dict[float, float]()
+    for effort in (1000.0, 2.0):
+        (tmp_path / "arm.urdf").write_text(weak_robot("RRRR", effort))
+        first = first_graph(str(tmp_path / "arm.urdf"), tmp_path)
+        (tmp_path / FIRST).write_text(first.text)
+        chain = dm.load(tmp_path / FIRST).robot
+        q = np.array(first_path(first)["center"])
+        weight = pin.computeGeneralizedGravity(chain.model, chain.model.createData(), pin_configuration(chain, q))
+        share[effort] = abs(float(weight[0])) / 2.0
+    assert share[1000.0] > 0.8
+    assert share[2.0] < EFFORT
+
+
+def test_assumed_friction_is_a_small_part_of_the_torque_limits(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(weak_robot("RRRR", 2.0))
+    first = first_graph(str(tmp_path / "arm.urdf"), tmp_path)
+    (tmp_path / FIRST).write_text(first.text)
+    arm = dm.load(tmp_path / FIRST).blocks["arm"]
+    np.testing.assert_allclose(arm.coulomb[0], 2.0 * MOST_COULOMB)
+    np.testing.assert_allclose(arm.viscous[0], 2.0 * MOST_VISCOUS)
+    (tmp_path / "arm.urdf").write_text(weak_robot("RRRR", 1000.0))
+    assert first_graph(str(tmp_path / "arm.urdf"), tmp_path).text.count("coulomb: [0.24,") == 0
+
+
+@pytest.mark.parametrize(
+    ("effort", "text"),
+    [(0.05, "each law diverges: j1 is at its torque limit, 50 mN m, in .* on the servo pid; .*--payload"), (200.0, "")],
+)
+def test_a_joint_that_cannot_hold_the_arm_is_named_with_its_limit(effort: float, text: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(weak_robot("RR", effort))
+    first = first_graph(str(tmp_path / "arm.urdf"), tmp_path, axes=(2, 7))
+    (tmp_path / FIRST).write_text(first.text)
+    motion = replace(motion_of(first), seconds=1.0)
+    (tmp_path / "race.yaml").write_text(race_text(first, makers(first, 0.1, motion.seconds), motion, 0.008))
+    race = load_race(tmp_path / "race.yaml")
+    assert re.fullmatch(text, obstacle(race, race.training[0]))
+
+
+def test_the_adaptive_law_of_a_robot_of_two_joints_is_proved_with_its_rotors(tmp_path: Path) -> None:
+    """The rows of the coupled robot have no rotors: with them the proof is refuted."""
+    first = first_graph("arm2", tmp_path)
+    (tmp_path / FIRST).write_text(first.text)
+    motion = motion_of(first)
+    (tmp_path / "race.yaml").write_text(race_text(first, makers(first, 0.1, motion.seconds), motion, 0.008))
+    race = load_race(tmp_path / "race.yaml")
+    graph = race.graph(Run("experts", race.held_out[0], race.laws["experts", 0.008].own, 1))
+    arm = {key: value for key, value in race.file.plants["pid"].blocks["arm"].items() if key not in module.LOAD}
+    graph = graph.set({"reality": None, "blocks.arm": {**arm, "type": "manipulator"}})
+    assert min(graph.blocks["arm"].rotor) > 0
+    assert graph.verify().proved
+    assert graph.set({"inverse.dynamics": "robot"}).verify().outcome == "refuted"

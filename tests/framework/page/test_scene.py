@@ -51,6 +51,18 @@ def test_meshes_of_all_joints_are_drawn(tmp_path):
     assert [(found["joint"], found["faces"]) for found in drawn(robot(tmp_path, (cube, cube)))] == [(0, 6), (1, 6)]
 
 
+def test_a_fixed_joint_with_a_mimic_does_not_move(tmp_path):
+    """As in the gripper of talos_left_arm.urdf of example-robot-data."""
+    cube = mesh(tmp_path, CUBE)
+    path = robot(tmp_path, (cube, cube))
+    finger = (
+        '<link name="finger"/><joint name="f" type="fixed"><parent link="link1"/><child link="finger"/>'
+        '<mimic joint="j1" multiplier="-1" offset="0.5"/></joint></robot>'
+    )
+    path.write_text(path.read_text().replace("</robot>", finger))
+    assert [(found["joint"], found["faces"]) for found in drawn(path)] == [(0, 6), (1, 6)]
+
+
 @pytest.mark.parametrize("wrong", [1000.0, 0.001, np.nan, np.inf], ids=["millimetres", "kilometres", "nan", "inf"])
 def test_a_mesh_of_another_unit_or_without_numbers_is_not_drawn(tmp_path, wrong):
     cube = mesh(tmp_path, CUBE * wrong if np.isfinite(wrong) else np.where(CUBE > 0, wrong, CUBE))
