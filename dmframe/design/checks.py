@@ -28,9 +28,11 @@ def checks_of(graph: Graph, candidate: Candidate, found: Designed, progress: Pro
     if candidate.adaptive:
         progress.say("proof", f"proving {candidate.law}")
         verification = graph.verify()
-        yield Check("proof", verification.headline, verification.proved, verification.stable)
         if not verification.proved:
+            why = f"it is not proved: {verification.headline}, {verification.reason}"
+            yield Check("proof", why, passed=False, whole=verification.stable)
             return
+        yield Check("proof", verification.headline, passed=True, whole=verification.stable)
     yield rehearsed(graph, candidate, found, progress)
 
 

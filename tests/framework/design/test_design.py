@@ -16,7 +16,7 @@ import dmframe as dm
 from dmframe.cli.app import app
 from dmframe.common.errors import DmframeError
 from dmframe.design import design as module
-from dmframe.design.checks import rehearsed
+from dmframe.design.checks import checks_of, rehearsed
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, Ranking, worth
 from dmframe.design.designed import Check, Designed, graph_name
@@ -318,6 +318,15 @@ def test_a_simple_law_that_diverges_in_a_rehearsal_is_not_handed_over(
     assert text in check.text
     adaptive = candidate("experts", [1.0], adaptive=True)
     assert not rehearsed(Rehearsing(*errors), adaptive, found, Progress(lambda text: None)).passed  # type: ignore[arg-type]
+
+
+def test_a_law_that_is_not_proved_is_not_rehearsed_and_has_the_reason(tmp_path: Path) -> None:
+    verification = SimpleNamespace(proved=False, stable=False, headline="refuted", reason="inverse: no identity")
+    found = Designed("blocked", "", tmp_path, "arm", 0.008, 0.0)
+    graph = SimpleNamespace(verify=lambda: verification)
+    law = candidate("experts", [1.0], adaptive=True)
+    (check,) = checks_of(graph, law, found, Progress(lambda text: None))  # type: ignore[arg-type]
+    assert (check.passed, check.text) == (False, "it is not proved: refuted, inverse: no identity")
 
 
 def test_without_a_compiler_it_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,6 +22,7 @@ from dmframe.design.race_text import FIRST, race_text
 from dmframe.design.request import Request
 from dmframe.drive.limits import load_limits
 from dmframe.graph.first import EFFORT, MOST_COULOMB, MOST_VISCOUS, first_graph
+from dmframe.race.plan import Run
 from dmframe.race.read import load_race
 from dmframe.robot.chain import pin_configuration
 
@@ -140,3 +141,18 @@ def test_a_joint_that_cannot_hold_the_arm_is_named_with_its_limit(effort: float,
     (tmp_path / "race.yaml").write_text(race_text(first, makers(first, 0.1, motion.seconds), motion, 0.008))
     race = load_race(tmp_path / "race.yaml")
     assert re.fullmatch(text, obstacle(race, race.training[0]))
+
+
+def test_the_adaptive_law_of_a_robot_of_two_joints_is_proved_with_its_rotors(tmp_path: Path) -> None:
+    """The rows of the coupled robot have no rotors: with them the proof is refuted."""
+    first = first_graph("arm2", tmp_path)
+    (tmp_path / FIRST).write_text(first.text)
+    motion = motion_of(first)
+    (tmp_path / "race.yaml").write_text(race_text(first, makers(first, 0.1, motion.seconds), motion, 0.008))
+    race = load_race(tmp_path / "race.yaml")
+    graph = race.graph(Run("experts", race.held_out[0], race.laws["experts", 0.008].own, 1))
+    arm = {key: value for key, value in race.file.plants["pid"].blocks["arm"].items() if key not in module.LOAD}
+    graph = graph.set({"reality": None, "blocks.arm": {**arm, "type": "manipulator"}})
+    assert min(graph.blocks["arm"].rotor) > 0
+    assert graph.verify().proved
+    assert graph.set({"inverse.dynamics": "robot"}).verify().outcome == "refuted"
