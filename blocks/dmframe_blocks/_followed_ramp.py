@@ -63,6 +63,8 @@ TRIED: Final = 0.125
 """Longest duration of the trial, relative to `evidence_time`."""
 CAUGHT: Final = 1e-6
 """Difference from the command, relative to a_max T, below which a ramp has caught up."""
+BEYOND: Final = 2
+"""By how much corrections may exceed a_max after a trial, relative to a_max: enough for the friction at a reversal."""
 RATIOS: Final = (1, 2, 4, 8, 16)
 """Time constants of the filters, relative to `lag_time`; that of a cascade without feed-forward is 1/k_p."""
 
@@ -97,8 +99,8 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
     """The change towards the wished command; `acted` is the command that acted in the last completed sample.
 
     Unless a ramp is shown, or the delay is unknown, the path's own change is allowed also where it exceeds a_max. As
-    much again is allowed for corrections, with a trial any change, but only if it is shown that the robot follows: a
-    loop whose corrections a ramp limits oscillates.
+    much again is allowed for corrections, with a trial `BEYOND` times a_max, but only if it is shown that the robot
+    follows: a loop whose corrections a ramp limits oscillates.
     """
     if "a_max" not in p:
         return Limited(wished - x.queue[:, -1], {}, {})
@@ -112,7 +114,7 @@ def limited(block: Delayed, u: Signals, x: Signals, p: Signals, wished: SX, acte
     begun = {"evidence": evidence, **sums}
     if "trial" in p:
         follows = named("follows_new", possible * ca.fmax(x.follows, evidence - likely > 0))
-        held, more = x.queue[:, -1] - x.wave, follows * 2 * p.u_max
+        held, more = x.queue[:, -1] - x.wave, follows * BEYOND * room
         low, high = ca.fmin(-room, needed) - more, ca.fmax(room, needed) + more
         steady = named("steady", ca.fmin(ca.fmax(wished - held, low), high))
         undecided = known * (1 - follows) * (evidence > -GIVEN_UP * p.doubt)

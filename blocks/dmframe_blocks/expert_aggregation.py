@@ -106,8 +106,9 @@ class ExpertAggregation(AbstractBlock):
     *Trial.* On a slow path r = u in each sample, and nothing is shown. With `trial`, a square wave with the amplitude
     a_max T/2 + trial is added to the commands of all joints as soon as the delay is identified. Its sign changes when r
     has caught up with u. It ends when it is shown that the robot follows, if E < -doubt/50, and after evidence_time/8
-    at the latest. That the robot follows then remains shown until a ramp is, and only `u_max` limits corrections: with
-    a delay that is identified too short the loop diverges farther than within `a_max`. No packaged graph has it.
+    at the latest. That the robot follows then remains shown until a ramp is, and the change of a command lies between
+    min(-a_max T, D) - B and max(a_max T, D) + B, B = 2 a_max T. With a delay that is identified too short the loop may
+    oscillate within these limits.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ def _tuning(found: Finished) -> Iterator[Paragraph | Table]:
     yield Paragraph(
         f"Each law has {candidates} at each sampling period: the graph's own values, then a Halton sequence, "
         "log-uniform over the ranges of the race file. A candidate is rejected if it diverges on a training cell as it "
-        f"is, or with {margins}. Of the others, that with the least median of log error over the training cells is "
+        f"is, or with {margins}. Of the others, that with the least mean of log error over the training cells is "
         "chosen. No held-out cell has its plant or its path in training."
     )
     training = file.training
@@ -170,7 +170,7 @@ def _tuning(found: Finished) -> Iterator[Paragraph | Table]:
         rows.append([*cells, "rejected" if own.why else _number(math.exp(own.score)), f"{rejected} of {file.budget}"])
     heads = ["law", "clock", "values", "training error", "with its own values", "rejected"]
     caption = (
-        f"Training error in {file.unit}: the exponential of the median of log error over the training cells "
+        f"Training error in {file.unit}: the geometric mean over the training cells "
         f"({', '.join(training.plants)}; {', '.join(training.paths)}; {', '.join(training.realities)})."
     )
     yield Table(rows, heads, caption, kind="study", numbers=(3, 4, 5))

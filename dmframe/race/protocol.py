@@ -30,7 +30,7 @@ class Tried:
     Parameters
     ----------
     score
-        Median over the training cells of the logarithm of the error in mm; infinite if it is rejected.
+        Mean over the training cells of the logarithm of the error in mm; infinite if it is rejected.
     why
         Reason of the rejection; empty if there is none.
     """
@@ -71,7 +71,8 @@ def chosen(race: Race, errors: Errors) -> list[Choice]:
     """Choose the parameter values of each law at each sampling period.
 
     A candidate is rejected if it diverges on a training cell, without or with the margins. Of the others, that with the
-    least median of log error over the training cells wins, without the margins.
+    least mean of log error over the training cells wins, without the margins: the median over cells with and without
+    noise would depend on the two cells in the middle only.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def _tried(race: Race, law: str, clock: float, values: Values, errors: Errors) -
     if lost:
         how = "with the margins" if lost[0].margin else "as it is"
         return Tried(values, math.inf, f"diverges {how} in {lost[0].cell.name}")
-    return Tried(values, float(np.median([math.log(max(errors[run], LEAST)) for run in runs if not run.margin])), "")
+    return Tried(values, float(np.mean([math.log(max(errors[run], LEAST)) for run in runs if not run.margin])), "")
 
 
 def judged_runs(race: Race, choices: Sequence[Choice]) -> list[Run]:

@@ -197,6 +197,16 @@ def test_corrections_exceed_a_max_only_where_the_motion_shows_that_the_robot_fol
         assert float(item.outputs["dq_sent"][0]) == pytest.approx(sign * room)
 
 
+@pytest.mark.parametrize("needed", [0.0, 0.8])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_after_a_trial_corrections_exceed_the_limits_by_twice_a_max(needed: float, sign: int) -> None:
+    most = 0.5
+    u = {"q": [0.0], "dq_model": [0.0], "q_model": [0.0], "slope": [1.0], "epsilon": [0.0], "T": T}
+    u |= {"dq_r": [sign * 9.0], "dq_path": [sign * needed * T]}
+    item = KIND(a_max=[most], trial=[0.03]).evaluate(u, {**start(), "follows": 1, "count": 1e6}, robot="pendulum")
+    assert float(item.outputs["dq_sent"][0]) == pytest.approx(sign * T * (max(most, needed) + 2 * most))
+
+
 @pytest.mark.parametrize(("evidence", "follows"), [(-9e-4, 1), (-1.1e-3, 0)])
 def test_that_the_robot_follows_remains_shown_until_a_ramp_is(evidence: float, follows: int) -> None:
     missed_u = np.full((1, 6), -evidence)
