@@ -112,9 +112,7 @@ def decided_at_start(name: Text, column: SX, numbers: Numbers, start: Mapping[st
     margin = begun.at(numbers.starts)
     if margin is None:
         return None
-    least = _least_of(margin, numbers)
-    found = Checked(name, "least value >= 0", least, least >= 0, SIGNS, "sampled", False, margin, begun=begun)
-    return _over(found, margin, numbers) if symbols_in([margin]) & numbers.open else found
+    return _over(Checked(name, "least value >= 0", None, False, SIGNS, "", False, margin, begun=begun), margin, numbers)
 
 
 def _over(found: Checked, margin: SX, numbers: Numbers) -> Checked:

@@ -335,6 +335,7 @@ globalThis.checker = (() => {
     const g = of.graph;
     if (of.samples) return g.minus(g.pairs("fmin", g.pairs("fmax", vector, lower), upper), vector);
     need(vector.every((k) => of.kind(k) === "state") && correction.every((k) => of.kind(k) === "correction"), "a projection");
+    need(of.of([...lower, ...upper], ["constant"]), "a box that moves");
     return g.minus(vector.map((k) => of.next(k)), nominal(of, vector, correction));
   }
   // Rates of estimates without the corrections of their projection.
@@ -360,7 +361,7 @@ globalThis.checker = (() => {
   // rate of T and C its acceleration less gravity, the force of joint j is sum_i tr(U_j S C'), by d'Alembert's principle.
   function robot(of, item) {
     const g = of.graph, { rotors, gravity, torque } = item, q = of.inputs(item.position), n = q.length, dq = of.exactRates(q), ddq = of.exactRates(dq), found = [];
-    need(q.every((k) => of.kind(k) === "state"), "the robot's position is no state");
+    if (new Set([...q, ...dq].filter((k) => of.kind(k) === "state")).size < 2 * n) refute("positions and speeds of the robot: expected states");
     need(n && of.of([...rotors, ...gravity], ["constant"]) && item.joints.length === n && rotors.length === n && gravity.length === 3, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));

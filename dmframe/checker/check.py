@@ -470,6 +470,7 @@ def correction(of, part):
         return minus(each(lambda x, low, high: Node("fmin", Node("fmax", x, low), high), *box), part.vector)
     symbol = {("symbol", "state"), ("symbol", "correction")}
     need({(x.name, of.kind(x)) for x in part.vector + part.correction} == symbol, "a projection: expected symbols")
+    need(of.kinds_in(part.lower + part.upper) <= {"constant"}, "a box that moves")
     return minus([of.rates[x] for x in part.vector], nominal(of, part))
 
 
@@ -487,7 +488,8 @@ def robot(of, item):
     gravity)').
     """
     q, T, frames, last = of.symbols[item.position], unit(4, ZERO, ONE), [], [ZERO, ZERO, ZERO, ONE]
-    need({*map(of.kind, q)} == {"state"}, "the robot's position is no state")
+    moving = {x for x in [*q, *of.sure_rate(q)] if x.name == "symbol" and of.kind(x) == "state"}
+    need(len(moving) == 2 * len(q), "positions and speeds of the robot: expected states", Refuted)
     for joint, x in zip(item.joints, q, strict=True):
         still = of.kinds_in([*joint.axis, *joint.body, *item.rotors, *item.gravity])
         still |= {of.kind(node) for node in symbols(joint.place) - {x}}

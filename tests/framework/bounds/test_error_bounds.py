@@ -183,7 +183,7 @@ def test_a_box_that_excludes_the_shortest_true_value_leaves_the_true_one() -> No
 def test_a_box_is_bounded_by_its_worst_member_up_to_some_percent() -> None:
     graph = dm.load(PI).set({"dynamics.Gamma": 1e12})
     over_box, rng, worst = found(graph), np.random.default_rng(1), 0.0
-    for k in range(12):
+    for k in range(6):
         s, r, f = rng.uniform([0.8, 1.76, 1], [1.25, 2.64, 1.5]) if k else (1.25, 2.64, 1)
         stiff = s * np.array([800, 800, 400])
         member = {"servo.K_P": stiff, "servo.K_I": r * stiff, "arm.viscous": f * np.array([5, 5, 2])}
@@ -218,7 +218,7 @@ def pushed(folder: Path) -> dm.Graph:
     return dm.load(folder / "pushed.yaml", trust=True)
 
 
-@pytest.mark.parametrize(("runs", "more"), [(4, {}), (2000, {}), (4, LEAK)], ids=["4", "2000", "leak"])
+@pytest.mark.parametrize(("runs", "more"), [(2, {}), (2000, {}), (4, LEAK)], ids=["2", "2000", "leak"])
 def test_no_robot_in_the_box_exceeds_the_bounds(runs: int, more: Mapping[str, Any], tmp_path: Path) -> None:
     """Neither with the disturbance; and the worst is not far below the bound."""
     graph, until, rng = dm.load("joint_tracking_bounded").set(more), 60.0, np.random.default_rng(runs)

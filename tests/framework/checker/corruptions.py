@@ -311,7 +311,7 @@ def _judged(name: str, seed: int) -> tuple[str, str, dict[str, Any], dict[str, A
     if path[0] in ("about", "assumed") or path[-1] in ("name", "signal", "assumed", "says"):
         shown = {**found, "log2_error": 0, "points": 0} != {**accepted(name), "log2_error": 0, "points": 0}
         if path[-1] != "says":
-            hidden = not shown and (path[0] == "assumed" or path[-1] == "assumed")
+            hidden = not shown and (path[0] == "assumed" or (path[-1] == "assumed" and before is not None))
             return ("FALSE" if hidden else "a text, which the result shows" if shown else "a text"), where, data, found
     try:
         if same(data, original):

@@ -70,6 +70,8 @@ def _functions() -> Iterator[Attack]:
     file.data["rates"]["y"] = file.vector(file.instruction("mul", y, y))
     yield "x goes to zero, but another state is infinite before", file.data, "assumes solutions exist for all time"
 
+    yield "a box that moves", _moving_box().data, "refused"
+
     for name in ("fmin", "floor", "if_else_zero"):
         file = stable()
         file.names += [name] * (name not in file.names)
@@ -194,7 +196,14 @@ def _chains() -> Iterator[Attack]:
     file = _turning()
     for item in file.data["symbols"]:
         item["kind"] = "given"
-    yield "a chain whose positions are given", file.data, "refused"
+    yield "a chain whose positions are given", file.data, "refuted"
+    file = _turning()
+    file.data["rates"]["q"] = file.vector(file.instruction("mul", file.number("-1"), 0))
+    for term in file.data["terms"]:
+        term["parts"] = {"vector": file.vector(0), "weight": file.vector(file.number("1"))}
+    file.data["robots"][0]["torque"] = file.vector(file.instruction("mul", file.number("2"), 0))
+    concluded(file.data, file.vector(0))
+    yield "a chain whose speed is -q, with a torque 2 q that repels it", file.data, "refuted"
     file = _turning()
     q, s = 0, file.symbol("s", "state")
     file.data["rates"]["s"] = file.vector(-1)
@@ -237,6 +246,29 @@ def _turning(*, moving: bool = False) -> File:
     own = {"rotors": file.vector(zero), "gravity": file.vector(zero, zero, zero)}
     torque = file.vector(scaled("2", slow))
     file.data["robots"] = [{"position": "q", "joints": [joint], **own, "torque": torque}]
+    return file
+
+
+def _moving_box() -> File:
+    """An estimate whose box begins at another one, b, which moves as fast as the time: so does its correction.
+
+    V = (e^2 + (b - 1/2)^2 + (a - 2)^2) / 2 has the rates da/dt = c_a, db/dt = t e + c_b, de/dt = -e - t (b - 1/2).
+    """
+    file = File()
+    a, b, e = (file.symbol(label, "state") for label in "abe")
+    ca, cb = (file.symbol(f"{label}, correction", "correction") for label in "ab")
+    t, one, make = file.symbol("t", "time"), file.vector(file.number("1")), file.instruction
+    errors = [e, make("sub", b, file.number("1/2")), make("sub", a, file.number("2"))]
+    pushed = make("add", e, make("mul", t, errors[1]))
+    rates = {"a": ca, "b": make("add", make("mul", t, e), cb), "e": make("sub", file.number("0"), pushed)}
+    file.data["rates"] = {label: file.vector(place) for label, place in rates.items()}
+    for error in errors:
+        file.term("stored", file.vector(error), one)
+    file.term("dissipated", file.vector(e), one)
+    file.projected(b, cb, "0", "1", true="1/2")
+    file.projected(a, ca, "0", "5", true="2")
+    file.data["terms"][-1]["parts"]["lower"] = file.vector(b)
+    concluded(file.data, file.vector(ca), "is bounded")
     return file
 
 
