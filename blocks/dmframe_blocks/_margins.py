@@ -84,11 +84,11 @@ def remark_of(block: Margined) -> str:
 
 @operation
 def braked(error: SX, gain: SX) -> SX:
-    """Share of the gain with which an error, divided by the largest acceleration, is corrected without overshoot.
+    """Share of the gain with which an error size, divided by the largest acceleration, is corrected without overshoot.
 
     With the whole gain L the correction of the error e has the velocity w = L e, and while the error decreases by it,
     de/dt = -w, the acceleration is L^2 e. It is largest at e = 1/L^2, where it is 1. Beyond, w = sqrt(2 e - 1/L^2) has
     the acceleration w dw/de = 1, and joins w = L e with the same slope. Returned is w/(L e), 1 for small errors.
     """
-    far = ca.fmax(ca.fabs(error) * gain * gain, 1)
+    far = ca.fmax(error * gain * gain, 1)
     return ca.sqrt(2 * far - 1) / far

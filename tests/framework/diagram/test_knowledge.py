@@ -135,7 +135,7 @@ def test_where_an_estimate_starts_is_not_known_unless_a_rate_pulls_it_back_there
 
 
 @pytest.mark.parametrize("name", structures())
-def test_two_packaged_controllers_alone_contain_the_inertia_one_for_comparison_and_one_for_a_load(
+def test_three_packaged_controllers_alone_contain_the_inertia_one_for_comparison_and_two_for_a_load(
     name: str,
 ) -> None:
     leaks = {
@@ -143,5 +143,5 @@ def test_two_packaged_controllers_alone_contain_the_inertia_one_for_comparison_a
         for block, item in of(name).items()
         if "inertia" in item.groups and item.held_by["inertia"] != ("a_d_nominal",)
     }
-    known = {"computed_torque": {"torque"}, "ur10_payload": {"model"}}
+    known = {"computed_torque": {"torque"}, "ur10_payload": {"model"}, "ur10_demo": {"model"}}
     assert leaks == known.get(name, set())

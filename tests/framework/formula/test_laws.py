@@ -60,16 +60,20 @@ def names(node, kind):
 @pytest.mark.parametrize("name", list(KINDS))
 def test_every_symbol_of_an_options_law_is_defined_and_none_by_itself(name):
     for read, _ in variants(KINDS[name]):
-        check_symbols(read.law(), ports_of(KINDS[name]))
+        check_symbols(read.law(), ports_of(KINDS[name]), complete=name not in OMITTED)
 
 
-def check_symbols(law, given):
+OMITTED = {"expert_aggregation", "sampled_inverse"}
+"""Blocks with an option of whose law an expression is too long to print: the periodic columns, an identified delay."""
+
+
+def check_symbols(law, given, complete=True):
     """From the trees: no packaged block omits an expression, and two objects of a law have different names."""
     known = given | {line.name for line in law.lines}
     defined = {sign for sign, _ in where(law.lines)}
     for line in law.lines:
         right, left = line.right.node, line.left.node
-        assert names(right, Unprinted) == []
+        assert names(right, Unprinted) == [] or not complete
         functions = names(right, Applied)
         own = isinstance(left, Name) and left.name in {item.name for item in names(right, Name)}
         assert not own, line.whole.text
