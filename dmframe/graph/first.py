@@ -268,6 +268,7 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
     ends = [_range(joint) for joint in chain.joints]
     lower, upper = np.array(ends).T
     efforts = _efforts(chain)
+    room = np.array([_amplitude(joint) for joint in chain.joints]) + 1e-3  # of the motion and of rounding
     best, found = -1.0, (lower + upper) / 2
     inertia, torque, rows = np.zeros((3, chain.n))
     for q in (found, *random.uniform(lower, upper, (SAMPLES, chain.n))):
@@ -288,7 +289,7 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         margin = np.min(np.minimum(q - lower, upper - q) / np.maximum(upper - lower, 1e-9))
         reserve = min(1.0, EFFORT / max(float(np.max(weight / efforts)), 1e-9)) ** 2
         score = values[min(chain.n, 3) - 1] / max(values[0], 1e-9) * min(1.0, 4 * margin) * reserve
-        if score > best:
+        if score > best and np.all(np.minimum(q - lower, upper - q) >= room):
             best, found = score, q
     return np.round(found, 3), inertia, torque, rows
 

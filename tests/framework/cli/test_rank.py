@@ -14,7 +14,7 @@ QUICK = ("--tube", "0.01 rad", "--boxes", "500", "--set", "duration=1 s")
 def test_the_page_prints_the_region_and_how_to_use_it(dmframe: Any) -> None:
     reported = dmframe("analyse", "theorem_3", "--rank", *QUICK)
     assert (reported.status, reported.err) == (0, "")
-    for expected in ("within 0.01 rad", "radius", "fails at", "certified", "tightest", "Assumed: the robot stays"):
+    for expected in ("within 0.01 rad", "radius", "fails at", "certified", "tightest", "Assumption: the robot stays"):
         assert expected in reported.out
     pasted = YAML(typ="safe").load(reported.out.partition("under blocks:")[2])
     lower, upper = pasted["geometry"]["a_k_hat_box"]

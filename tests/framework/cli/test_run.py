@@ -147,7 +147,7 @@ def test_a_loop_that_is_unstable_on_its_clock_has_its_notice_in_print_and_in_the
     data = strict(Path("mine", "summary.json").read_text(encoding="utf-8"))
     assert data["storage"]["start"] > 0
     assert [text in reported.out for text in data["notices"]] == [True] * len(data["notices"])
-    assert "unstable near its set-point on a clock of 90 ms" in " ".join(data["notices"])
+    assert "unstable near its set-point with a clock of 90 ms" in " ".join(data["notices"])
 
 
 def test_the_numbers_are_printed_before_v_is_computed(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,7 @@ from dmframe.graph.first import EFFORT, MOST_COULOMB, MOST_VISCOUS, first_graph
 from dmframe.race.plan import Run
 from dmframe.race.read import load_race
 from dmframe.robot.chain import pin_configuration
+from tests.random_chains import random_chain
 
 
 def test_a_robot_that_is_no_arm_is_blocked_and_an_unknown_one_is_an_error(tmp_path: Path) -> None:
@@ -156,3 +157,15 @@ def test_the_adaptive_law_of_a_robot_of_two_joints_is_proved_with_its_rotors(tmp
     assert min(graph.blocks["arm"].rotor) > 0
     assert graph.verify().proved
     assert graph.set({"inverse.dynamics": "robot"}).verify().outcome == "refuted"
+
+
+@pytest.mark.parametrize("seed", [0, 3, 8, 110])
+def test_the_motion_of_a_random_chain_is_inside_its_limits_to_both_sides(seed: int, tmp_path: Path) -> None:
+    """Seed 0 has a weak motor, for which a posture at a limit has the best reserve of torque."""
+    first = first_graph(str(random_chain(tmp_path, seed, untidy=seed > 99)), tmp_path)
+    for name, text in first.robot.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / FIRST).write_text(first.text)
+    joints, path = dm.load(tmp_path / FIRST).robot.joints, first_path(first)
+    for joint, center, amplitude in zip(joints, path["center"], path["amplitude"], strict=True):
+        assert joint.lower <= center - amplitude < center + amplitude <= joint.upper
