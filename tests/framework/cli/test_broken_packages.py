@@ -27,6 +27,7 @@ main()
         ("pinocchio", "pin", "robots need the package pin (Pinocchio), which is not installed"),
         ("ruamel.yaml", "ruamel.yaml", "dmframe: the package ruamel.yaml, which dmframe needs, cannot be imported: "),
     ],
+    ids=["casadi-casadi", "pinocchio-pin", "ruamel.yaml-ruamel.yaml"],
 )
 def test_a_missing_package_is_named_with_the_way_to_install_it(name: str, package: str, reason: str) -> None:
     done = subprocess.run(
