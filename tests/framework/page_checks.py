@@ -17,6 +17,7 @@ from dmframe.report.verification import Verification
 from dmframe.results.along import along
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import simulate
+from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
 
 
@@ -29,7 +30,9 @@ def functions(found: Verification) -> Functions:
 def check_functions(found: Verification) -> None:
     """At the file's own numbers, the page's functions agree with the rest of the framework."""
     made, loop = functions(found), found.diagram.loop
-    p, state = loop.p_values, start_state(found.diagram, found.graph.start)
+    clock = found.graph.file.clock
+    p, instants = loop.p_values, Instants.of(loop, clock) if clock else None
+    state = start_state(found.diagram, found.graph.start, instants=instants)
     check_start(found, made, state, p)
     check_judged(found, made, pose_of(found, made, state), p)
     check_module(found, made, state, p)

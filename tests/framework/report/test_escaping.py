@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from dmframe.common.text import Text
 from dmframe.report import html, markdown
 from dmframe.report.content import Content, Opening
 from dmframe.report.mathml import breakable, mathml
@@ -28,7 +29,7 @@ OURS = {"picture", "mermaid", "run", "figure", "bode", "nyquist", "outcome", "si
 def with_text(item: Any, text: str) -> Any:
     """The same content with `text` in every text field."""
     if isinstance(item, str):
-        return text
+        return Text(text) if isinstance(item, Text) else text
     if is_dataclass(item) and not isinstance(item, type):
         own = {field.name: getattr(item, field.name) for field in fields(item) if field.name not in OURS}
         return replace(item, **{key: with_text(value, text) for key, value in own.items()})
