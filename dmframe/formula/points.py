@@ -72,6 +72,11 @@ class Draw:
         """True if some or all numbers are zero that may be."""
         return self._zero > 0.0
 
+    @property
+    def moderate(self) -> bool:
+        """True at the first points, whose numbers are near 1 and do not overflow."""
+        return self._near
+
     def numbers(self, shape: Any, *, positive: bool) -> Any:
         """The next numbers, an array of this shape."""
         if self._near:
@@ -289,6 +294,8 @@ class Pair:
             for place, (one, two) in enumerate(zip(ones, others, strict=True)):
                 if Draw(seed).vanishes and one.shape == two.shape:
                     one = np.where(self._is_removable(values, place, one, two), two, one)
+                if not Draw(seed).moderate and one.shape == two.shape and np.any(np.isnan(two)):
+                    one = np.where(np.isnan(one), two, one)  # numbers overflow in what runs: no point to compare at
                 moved = ((first[place], second[place]) for first, second, _ in map(self.at, jittered(values)))
                 if differs(one, two) and not is_rounding(one, two, moved) and not agree(*self.in_balls(values, place)):
                     return place, False
