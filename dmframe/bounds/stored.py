@@ -225,8 +225,3 @@ class StoredErrors:
             return float(max(map(upper, ranges(read(function), given))))
         except UndecidedError as fault:
             raise NoBoundError(f"the mass matrix is not bounded: {fault.text}") from None
-
-
-def sums(products: Sequence[Sequence[Fraction]]) -> list[Fraction]:
-    """The sum over the rows of a table, for each column."""
-    return [sum(column, Fraction(0)) for column in zip(*products, strict=True)]
