@@ -259,7 +259,7 @@ class _ErrorBounds:
                 share, weight = shares[own.dissipated], W[own.dissipated]
                 middle = ca.fabs(share) / weight * ca.DM(list(self._torques)) / 2
                 level = self._scaled(servo, ca.vertsplit(ones / weight), middle)
-                gain = max(1.0, *map(float, self._box.tops(ca.vertsplit(ratio))))
+                gain = max(1.0, *map(float, self._box.tops(ca.vertsplit(ca.fabs(ratio)))))
                 value = level.middle + sqrt(level.stored / self._over + level.driven / 4)
                 yield self._bound("rms", error, unit, gain * value + first / sqrt(2 * rate * self._over), level)
             level = self._scaled(servo, ca.vertsplit(2 * ones / own.term.weight), ca.SX(0))

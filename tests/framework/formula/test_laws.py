@@ -23,7 +23,7 @@ from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
 from dmframe.formula import laws_of, printed
 from dmframe.formula.alone import law_of_type, options_of, read_type, simplest, variants
-from dmframe.formula.points import Pair, agree, in_balls
+from dmframe.formula.points import Draw, Pair, agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
 from dmframe.graph.graph import Graph
@@ -369,3 +369,16 @@ def test_an_undefined_value_is_a_difference_where_signals_are_not_zero():
     vanishing = {seed for seed in range(16, 100) if seed % 4 > 1}
     assert found(vanishing) == (None, False)
     assert found(vanishing | {17}) == (0, False)
+
+
+@pytest.mark.parametrize(("seeds", "second", "found"), [("far", 0.0, 0), ("far", np.nan, None), ("near", np.nan, 0)])
+def test_a_printed_number_may_be_missing_only_where_what_runs_overflows(seeds, second, found):
+    def at(values):
+        near = Draw(round(float(values["seed"]))).moderate
+        missing = near if seeds == "near" else not near
+        printed = np.array([[np.nan if missing else 0.0], [0.0 if not missing else second]])
+        runs = np.array([[0.0], [0.0 if not missing else second]])
+        return [printed], [runs], []
+
+    pair = Pair(lambda seed: {"seed": float(seed)}, at, lambda *_: (None, None))
+    assert pair.compared(near=False)[0] == found
