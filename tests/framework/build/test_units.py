@@ -89,7 +89,7 @@ def test_a_loop_has_the_same_bits_in_one_unit_and_in_three(cache: Path, monkeypa
 def test_the_error_of_a_unit_is_that_of_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source, library = at(tmp_path, cores=2, monkeypatch=monkeypatch)
     failing = script(tmp_path, 'case "$*" in *DM_UNIT=1*) echo "error: no room" >&2; exit 1;; esac')
-    with pytest.raises(CompileFailed, match="^error: no room$"):
+    with pytest.raises(CompileFailed, match=r"^error: no room$"):
         failing.build(source, library)
     assert not library.exists()
 
