@@ -23,12 +23,11 @@ desired trajectories cancel. States that act neither on a held signal nor on ano
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
 import casadi as ca
-import numpy as np
 from flint import arb, arb_mat
 
 from dmframe.block.certificate import SX
@@ -55,9 +54,50 @@ class HeldLoop:
     K: arb_mat
 
 
-@precise()
+@final
+@dataclass(frozen=True, eq=False)
+class HeldSlopes:
+    """A, E and K of (1) as expressions in the parameters of a loop."""
+
+    loop: ClosedLoop
+    states: tuple[str, ...]
+    held: tuple[str, ...]
+    matrices: tuple[SX, SX, SX]
+
+    @property
+    def own(self) -> HeldLoop:
+        """The matrices at the numbers of the loop."""
+        return self.function([self.loop.p])([own_numbers(self.loop)])
+
+    def function(self, columns: Sequence[SX]) -> Callable[[Sequence[Sequence[arb]]], HeldLoop]:
+        """The matrices as a function of numbers for columns of symbols."""
+        program = read(ca.Function("slopes", list(columns), list(self.matrices), TO_READ))
+        shapes = [matrix.shape for matrix in self.matrices]
+
+        @precise()
+        def at(numbers: Sequence[Sequence[arb]]) -> HeldLoop:
+            found = zip(shapes, program.dense(enclosed(program, numbers), ZERO), strict=True)
+            A, E, K = (arb_mat(columns, rows, values).transpose() for (rows, columns), values in found)
+            return HeldLoop(self.states, self.held, A, E, K)
+
+        return at
+
+
 def held_loop(diagram: Diagram) -> HeldLoop:
     """A linear loop on a clock as (1), at the numbers of the diagram.
+
+    Raises `UndecidedError` with the reason for a loop that is not linear, or whose controller takes other steps.
+    """
+    return held_slopes(diagram).own
+
+
+def own_numbers(loop: ClosedLoop) -> list[arb]:
+    """The parameters of a loop as balls."""
+    return [ball(float(value)) for value in loop.p_values]
+
+
+def held_slopes(diagram: Diagram, uncertain: Collection[str] = ()) -> HeldSlopes:
+    """The matrices of a linear loop on a clock; `uncertain` are labels of parameters that may differ from zero.
 
     Raises `UndecidedError` with the reason for a loop that is not linear, or whose controller takes other steps.
     """
@@ -67,7 +107,7 @@ def held_loop(diagram: Diagram) -> HeldLoop:
     own, (leaves, commands) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
     first = loop.state.numel() - own.numel()
     (signals,) = loop.acting([ca.vertcat(commands, stack(loop.rates_of(loop.controller)))])
-    flow, signals = _without_zeros(loop, [loop.flow, signals])
+    flow, signals = _without_zeros(loop, [loop.flow, signals], uncertain)
     slopes = [ca.jacobian(flow, own), ca.jacobian(flow, leaves), ca.jacobian(signals, loop.state)]
     states, held = _labels(loop), [*_commands(loop), *(f"d {label}/dt" for label in _labels(loop)[:first])]
     _refuse_nonlinear(loop, slopes, [states[first:], states[first:], held])
@@ -80,10 +120,8 @@ def held_loop(diagram: Diagram) -> HeldLoop:
     kept, some = _acting(A, slopes[2])
     if not some:
         raise UndecidedError("no held signal depends on a state")
-    numbers = [ball(float(value)) for value in loop.p_values]
-    matrices = (A[kept, kept], E[kept, some], slopes[2][some, kept])
-    found = [_enclosed(loop, matrix, numbers) for matrix in matrices]
-    return HeldLoop(tuple(states[k] for k in kept), tuple(held[k] for k in some), *found)
+    matrices = A[kept, kept], E[kept, some], slopes[2][some, kept]
+    return HeldSlopes(loop, tuple(states[k] for k in kept), tuple(held[k] for k in some), matrices)
 
 
 def other_steps(loop: ClosedLoop) -> Iterator[str]:
@@ -94,9 +132,12 @@ def other_steps(loop: ClosedLoop) -> Iterator[str]:
         yield f"the step of {label} has a term of second order"
 
 
-def _without_zeros(loop: ClosedLoop, expressions: Sequence[SX]) -> list[SX]:
-    """Expressions without the parameters that are zero."""
-    zeros = np.flatnonzero(loop.p_values == 0).tolist()
+def _without_zeros(loop: ClosedLoop, expressions: Sequence[SX], uncertain: Collection[str]) -> list[SX]:
+    """Expressions without the parameters that are zero and not uncertain."""
+    labels = [p.label for p in loop.parameters for _ in range(p.symbol.numel())]
+    zeros = [k for k, value in enumerate(loop.p_values) if value == 0 and labels[k] not in uncertain]
+    if not zeros:
+        return list(expressions)
     return list(ca.substitute(list(expressions), [loop.p[zeros]], [ca.SX.zeros(len(zeros))]))
 
 
@@ -139,11 +180,4 @@ def _acting(A: SX, K: SX) -> tuple[list[int], list[int]]:
     return sorted(kept), sorted({row for row, _ in by_signal})
 
 
-def _enclosed(loop: ClosedLoop, matrix: SX, numbers: Sequence[arb]) -> arb_mat:
-    program = read(ca.Function("slopes", [loop.p], [ca.cse(matrix)], TO_READ))
-    (found,) = program.dense(enclosed(program, [numbers]), ZERO)
-    rows, columns = matrix.shape
-    return arb_mat(columns, rows, found).transpose()
-
-
-__all__ = ["HeldLoop", "held_loop", "other_steps"]
+__all__ = ["HeldLoop", "HeldSlopes", "held_loop", "held_slopes", "other_steps", "own_numbers"]

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from dmframe.analysis.held import held_loop, other_steps
+from dmframe.analysis.held import held_slopes, other_steps
+from dmframe.analysis.held_box import interval_over_box
 from dmframe.analysis.held_rise import Rise, rise_of
 from dmframe.analysis.held_storage import find_storage
+from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
+from dmframe.certify.uncertain import FACTOR, tie_of
 from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
+from dmframe.exact.rational import Interval
 
 
 @final
@@ -28,6 +32,8 @@ class ClockProof:
         None without a proof.
     states, held
         With a proof: the states of the storage function, and the signals that are held.
+    over
+        With a proof: the uncertain parameters over whose intervals it holds; empty if for the graph's numbers.
     reason
         Without a proof: the reason.
     rise
@@ -38,6 +44,7 @@ class ClockProof:
     interval: float | None = None
     states: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
+    over: tuple[str, ...] = ()
     reason: str = ""
     rise: Rise | None = None
 
@@ -55,6 +62,7 @@ class ClockProof:
             "covers_clock": self.covers_clock,
             "states": list(self.states),
             "held": list(self.held),
+            "over": list(self.over),
             "reason": self.reason,
             "rise": None
             if self.rise is None
@@ -67,6 +75,7 @@ def prove_clock(
     clock: float | None,
     claim: Claim | None = None,
     *,
+    uncertain: Mapping[str, Sequence[Interval]] | None = None,
     kappa: float = 1.0,
     seed: int = 0,
     start: Mapping[str, Any] | None = None,
@@ -77,6 +86,8 @@ def prove_clock(
     ----------
     clock
         The graph's sampling period [s], or None.
+    uncertain
+        Intervals of the plant's parameters (`dmframe.certify.uncertain`), over which a linear loop is proved.
     claim
         Its proved claim in continuous time, if there is one.
     kappa
@@ -84,13 +95,28 @@ def prove_clock(
     seed, start
         Of the search for a state, and of its runs.
     """
+    own = {label: given for label, given in (uncertain or {}).items() if _is_varied(label, given)}
     try:
-        loop = held_loop(diagram)
-        return ClockProof(clock, find_storage(loop).interval, loop.states, loop.held)
+        slopes = held_slopes(diagram, own)
+        interval = interval_over_box(slopes, own) if own else None
+        if interval is not None:
+            return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own))
+        return ClockProof(clock, find_storage(slopes.own).interval, slopes.states, slopes.held)
     except DmframeError as fault:
         emulated = not any(other_steps(diagram.loop))
         rise = rise_of(claim, kappa=kappa, seed=seed, start=start) if claim is not None and emulated else None
         return ClockProof(clock, reason=fault.text, rise=rise)
+
+
+def _is_varied(label: str, given: Sequence[Interval]) -> bool:
+    """True for a parameter that is not zero; a start does not matter to a linear loop."""
+    return not label.startswith(START) and any(x.lower or x.upper for x in given)
+
+
+def _stated(uncertain: Collection[str]) -> tuple[str, ...]:
+    """The labels as a graph states them: without products of a ratio, and a factor as its parameter."""
+    products = {tie[0] for label in uncertain if (tie := tie_of(label)) is not None and tie[1]}
+    return tuple(label for label in uncertain if label not in products and not label.endswith(FACTOR))
 
 
 __all__ = ["ClockProof", "prove_clock"]

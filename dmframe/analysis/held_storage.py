@@ -113,7 +113,7 @@ def find_storage(loop: HeldLoop) -> HeldStorage:
 
     Raises `UndecidedError` for a loop that is unstable in continuous time, or if nothing is proved.
     """
-    search = _Search(loop)
+    search = HeldSearch(loop)
     best, angle, W = search.best()
     for fraction in _FRACTIONS if best > 0 else ():
         found = search.storage(best * fraction, angle, W)
@@ -124,7 +124,7 @@ def find_storage(loop: HeldLoop) -> HeldStorage:
 
 
 @final
-class _Search:
+class HeldSearch:
     """Search in floating point, with states scaled by their spread under white noise in e."""
 
     def __init__(self, loop: HeldLoop) -> None:
@@ -154,7 +154,7 @@ class _Search:
         count = len(self._places[0]) if len(self._first) > 1 else 0  # the size of W does not matter
 
         def longest(z: Array) -> float:
-            return self._longest(*self._numbers(z))
+            return self.longest(*self._numbers(z))
 
         starts = [np.append(math.log(angle / (math.pi - angle)), np.zeros(count)) for angle in _ANGLES]
         z = max(starts, key=longest)
@@ -176,7 +176,7 @@ class _Search:
         root = self._first @ lower
         return float(np.pi / (1 + np.exp(-np.clip(z[0], -20, 20)))), root @ root.T
 
-    def _longest(self, angle: float, W: Array) -> float:
+    def longest(self, angle: float, W: Array) -> float:
         """The longest interval for this angle and W, by bisection."""
 
         def fits(interval: float) -> bool:
@@ -190,12 +190,12 @@ class _Search:
             lower, upper = (middle, upper) if fits(middle) else (lower, middle)
         return lower
 
-    def storage(self, interval: float, angle: float, W: Array) -> HeldStorage | None:
+    def storage(self, interval: float, angle: float, W: Array, margin: float = _STRICT) -> HeldStorage | None:
         """The storage function for these numbers, with the interval as it was sought; None without one."""
         from scipy.linalg import solve_continuous_are
 
         beta, gamma = _multipliers(interval, angle)
-        Q, S, R = self._weights(beta, gamma, W)
+        Q, S, R = self._weights(beta, gamma, W, margin)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
@@ -205,12 +205,12 @@ class _Search:
         P = (P + P.T) / 2 / np.outer(self._scale, self._scale)
         return HeldStorage(interval, P, (W + W.T) / 2, beta, gamma) if np.all(np.isfinite(P)) else None
 
-    def _weights(self, beta: float, gamma: float, W: Array) -> tuple[Array, Array, Array]:
+    def _weights(self, beta: float, gamma: float, W: Array, margin: float = _STRICT) -> tuple[Array, Array, Array]:
         """Q, S and R of the Riccati equation that is (2) with equality, but for a margin."""
         C, D = self._C, self._D
         WC, WD = W @ C, W @ D
         Q = C.T @ WC
-        Q = Q + _STRICT * max(float(np.max(np.diag(Q))), 1e-300) * np.eye(len(Q))
+        Q = Q + margin * max(float(np.max(np.diag(Q))), 1e-300) * np.eye(len(Q))
         return Q, C.T @ WD - beta * WC.T, D.T @ WD - beta * (WD + WD.T) - gamma**2 * W
 
     def _solvable(self, beta: float, gamma: float, W: Array) -> bool:
@@ -231,4 +231,4 @@ def _multipliers(interval: float, angle: float) -> tuple[float, float]:
     return angle / math.tan(angle) / interval, angle / interval
 
 
-__all__ = ["HeldStorage", "find_storage", "proved_interval"]
+__all__ = ["HeldSearch", "HeldStorage", "find_storage", "proved_interval"]

@@ -164,7 +164,15 @@ class Graph(BaseGraph):
         claim = verdict.flow_claim if verdict.outcome == "proved" else None
         kappa = 1.0 if verdict.kappa is None else float(verdict.kappa.chosen)
         with self.placing(), SYMBOLIC:
-            return prove_clock(self.diagram, self.clock, claim, kappa=kappa, seed=seed, start=self.start)
+            return prove_clock(
+                self.diagram,
+                self.clock,
+                claim,
+                uncertain=self.intervals(),
+                kappa=kappa,
+                seed=seed,
+                start=self.start,
+            )
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:
         """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.

@@ -24,6 +24,8 @@ def clock_text(proof: ClockProof) -> str:
             f"a storage function of {', '.join(proof.states)} falls between samples and at them; two motions on one "
             "path approach each other",
         ]
+        if proof.over:
+            lines.append(f"for all robots in the intervals of {', '.join(proof.over)}")
     else:
         lines = [f"{own}: not proved on a clock: {proof.reason}"]
         if proof.rise is not None:
