@@ -9,7 +9,6 @@ from typing import Any, final
 from dmframe.analysis.held import held_slopes, other_steps
 from dmframe.analysis.held_box import interval_over_box
 from dmframe.analysis.held_rise import Rise, rise_of
-from dmframe.analysis.held_storage import find_storage
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
 from dmframe.certify.uncertain import FACTOR, tie_of
@@ -80,7 +79,7 @@ def prove_clock(
     seed: int = 0,
     start: Mapping[str, Any] | None = None,
 ) -> ClockProof:
-    """Prove a linear loop on its clock; for another loop, look for a state from which V of its certificate rises.
+    """Prove a linear law on its clock; for another law, look for a state from which V of its certificate rises.
 
     Parameters
     ----------
@@ -98,10 +97,8 @@ def prove_clock(
     own = {label: given for label, given in (uncertain or {}).items() if _is_varied(label, given)}
     try:
         slopes = held_slopes(diagram, own)
-        interval = interval_over_box(slopes, own) if own else None
-        if interval is not None:
-            return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own))
-        return ClockProof(clock, find_storage(slopes.own).interval, slopes.states, slopes.held)
+        interval = interval_over_box(slopes, own)
+        return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own))
     except DmframeError as fault:
         emulated = not any(other_steps(diagram.loop))
         rise = rise_of(claim, kappa=kappa, seed=seed, start=start) if claim is not None and emulated else None

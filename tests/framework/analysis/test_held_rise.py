@@ -83,7 +83,7 @@ def test_verify_prints_why_a_loop_is_not_proved_on_its_clock() -> None:
     found = dm.load("arm2_joint").verify(clock=True)
     text = str(found)
     assert (
-        "  clock 2 ms: not proved on a clock: the loop is not linear: dynamics.a_d_hat is projected onto a set" in text
+        "  clock 2 ms: not proved on a clock: the law is not linear: dynamics.a_d_hat is projected onto a set" in text
     )
     assert "V rises over every short sampling interval T" in text
     jsonschema.validate(json.loads(json.dumps(found.summary)), verdict_schema())
