@@ -8,8 +8,8 @@ from typing import Any, final
 
 from dmframe.analysis.held import held_slopes, other_steps
 from dmframe.analysis.held_box import interval_over_box
+from dmframe.analysis.held_linearised import linearised_interval
 from dmframe.analysis.held_rise import Rise, rise_of
-from dmframe.analysis.held_storage import find_storage
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
 from dmframe.certify.uncertain import FACTOR, tie_of
@@ -38,6 +38,9 @@ class ClockProof:
         Without a proof: the reason.
     rise
         A state from which V of the certificate rises over every short interval, if one was found.
+    linearised
+        Without a proof of the loop: the interval of the loop linearised at its set-point, without the slope of Coulomb
+        friction at rest [s]; None if that is not proved either.
     """
 
     clock: float | None
@@ -47,6 +50,7 @@ class ClockProof:
     over: tuple[str, ...] = ()
     reason: str = ""
     rise: Rise | None = None
+    linearised: float | None = None
 
     @property
     def covers_clock(self) -> bool:
@@ -64,6 +68,7 @@ class ClockProof:
             "held": list(self.held),
             "over": list(self.over),
             "reason": self.reason,
+            "linearised": self.linearised,
             "rise": None
             if self.rise is None
             else {"rho": self.rise.rho, "because": self.rise.because, "state": dict(self.rise.state)},
@@ -80,7 +85,7 @@ def prove_clock(
     seed: int = 0,
     start: Mapping[str, Any] | None = None,
 ) -> ClockProof:
-    """Prove a linear loop on its clock; for another loop, look for a state from which V of its certificate rises.
+    """Prove a linear law on its clock; for another law, look for a state from which V of its certificate rises.
 
     Parameters
     ----------
@@ -98,14 +103,14 @@ def prove_clock(
     own = {label: given for label, given in (uncertain or {}).items() if _is_varied(label, given)}
     try:
         slopes = held_slopes(diagram, own)
-        interval = interval_over_box(slopes, own) if own else None
-        if interval is not None:
-            return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own))
-        return ClockProof(clock, find_storage(slopes.own).interval, slopes.states, slopes.held)
+        interval = interval_over_box(slopes, own)
+        return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own))
     except DmframeError as fault:
-        emulated = not any(other_steps(diagram.loop))
-        rise = rise_of(claim, kappa=kappa, seed=seed, start=start) if claim is not None and emulated else None
-        return ClockProof(clock, reason=fault.text, rise=rise)
+        if any(other_steps(diagram.loop)):
+            return ClockProof(clock, reason=fault.text)
+        rise = rise_of(claim, kappa=kappa, seed=seed, start=start) if claim is not None else None
+        linearised = linearised_interval(diagram, clock, start=start)
+        return ClockProof(clock, reason=fault.text, rise=rise, linearised=linearised)
 
 
 def _is_varied(label: str, given: Sequence[Interval]) -> bool:

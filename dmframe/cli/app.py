@@ -190,7 +190,7 @@ def verify(
         str, typer.Option(metavar="TORQUE", help="Disturbance torque of bounds, such as 5 N m; one, or one per joint.")
     ] = "0 N m",
     clock: Annotated[
-        bool, typer.Option("--clock", help="Look for sampling intervals up to which the loop is proved on a clock.")
+        bool, typer.Option("--clock", help="Look for sampling intervals up to which the loop is proved on its clock.")
     ] = False,
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
     fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported

@@ -33,8 +33,8 @@ def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
     size = stack(v.symbol for v in diagram.loop.flowing).numel()
     if not size:
         return 0.0
-    directions = np.eye(state.size)[:, -size:]
-    return float(fastest(slope(state, 0, diagram.loop.p_values, 0, directions, 0, 0).full()[None])[0])
+    columns = [slope(state, 0, diagram.loop.p_values, 0, row, 0, 0).full() for row in np.eye(state.size)[-size:]]
+    return float(fastest(np.hstack(columns)[None])[0])
 
 
 def fastest(jacobians: np.ndarray) -> np.ndarray:
