@@ -105,7 +105,7 @@ SIMD: Final = Dialect("dm_real", "dm_all({})", {**_FORMS, **_IN_SIMD}, "dm_sinco
 PIECE: Final = 3000
 SHORT: Final = 1000
 LONG: Final = 20_000
-"""Lines of one C function: longer ones are split into pieces of `PIECE` lines, those of more than `LONG` lines into pieces
+"""Lines of one C function: longer ones are split into pieces of `PIECE` lines, those above `LONG` lines into pieces
 of `SHORT` lines, since compile time grows faster than linearly."""
 
 
