@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.common.errors import RobotError, listed
+from dmframe.common.files import ROBOT_FILES
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
-from dmframe.robot.convert import FORMATS, Element, joints_to, read_any, written
+from dmframe.robot.convert import Element, joints_to, read_any, written
 from dmframe.robot.flange import AXES, MOVING, flange_of
 from dmframe.robot.library import find_robot, load, robots
 from dmframe.robot.repairs import impossible_inertias, repaired
@@ -78,7 +79,7 @@ class FirstGraph:
 
 def is_robot(name: str) -> bool:
     """True for the name of a packaged robot, or a file of a robot."""
-    return name.lower().endswith(FORMATS) or name in robots()
+    return name.lower().endswith(ROBOT_FILES) or name in robots()
 
 
 def first_graph(
@@ -107,7 +108,7 @@ def first_graph(
         The file cannot be read, or the robot is not an arm of so many axes.
     """
     hold = dict(hold or {})
-    if not name.lower().endswith(FORMATS):
+    if not name.lower().endswith(ROBOT_FILES):
         chain = load(name, tool=tool, hold=hold)
         return FirstGraph(_text(chain, name, tool, hold, {}), {}, ())
     path = Path(name).expanduser()

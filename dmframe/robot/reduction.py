@@ -132,7 +132,8 @@ def _between_base_and_tool(model: Any, where: str, tool: str | Sequence[float] |
         if len(leaves) > 1:
             ends = ", ".join(model.names[i] for i in leaves)
             raise RobotError(
-                f"{where}: has {len(leaves)} chains, which end in {ends}; name a tool or the free joints",
+                f"{where}: has {len(leaves)} chains, which end in {ends}; name a tool or the free joints in a graph, "
+                "which `dmframe new` writes",
                 path=("robot", "tool"),
             )
         index = leaves[0] if leaves else 0
