@@ -104,7 +104,8 @@ class DocumentError(DmframeError):
 class UnknownNameError(DmframeError, KeyError):
     """An unknown name of a block type, a parameter, a key, a graph or a signal.
 
-    Without `spelling` the message lists all choices and suggests one only if its letters are the same. `others` replaces a list of all choices.
+    Without `spelling` the message lists all choices, and suggests one only if it differs in upper and lower case.
+    `others` replaces a list of all choices.
     """
 
     def __init__(

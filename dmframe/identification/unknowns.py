@@ -24,7 +24,7 @@ SERVOS: Final[Mapping[str, tuple[str, ...]]] = {
 SLOWEST: Final = 0.05
 """Smallest gain at which a candidate starts [1/s]."""
 LEAST: Final = 1e-6
-"""Least standard deviation of an inertial parameter [kg, kg m, kg m^2]: that of one which is zero in the robot's file."""
+"""Standard deviation of an inertial parameter that is zero in the robot's file [kg, kg m, kg m^2]."""
 SPREAD: Final = 0.3
 """Standard deviation of a link's mass relative to that of the robot's file."""
 LOAD: Final = 3.0
