@@ -18,7 +18,7 @@ With the held error :math:`e = v_k - k(x)`, which is zero after each sample, a l
     \dot x = A x + E e, \qquad \dot e = -K (A x + E e), \qquad e^+ = 0,                               \tag{1}
 
 A the matrix of the loop in continuous time. x is the difference of two motions on one path and one clock, in which
-desired trajectories cancel. States that act neither on a held signal nor on another state of x are left out.
+desired trajectories cancel. States on which no held signal and no rate depends are left out: they are integrals of x.
 
 The plant may be nonlinear. By the mean value theorem (1) then holds with A and E that change with time, in the hull of
 the slopes over all states: all angles that only sines and cosines read, and all other states up to `FAR`. k must be
@@ -203,14 +203,19 @@ def _elements(items: Sequence[tuple[str, int]]) -> list[str]:
 def _refuse_switches(loop: ClosedLoop, moves: SX) -> None:
     """Raise `UndecidedError` for an operation of states whose slope jumps: a slope then does not bound a change."""
     leaves, _ = loop.held_over_a_sample
-    columns = [ca.vertcat(loop.state, leaves), loop.p, loop.w, loop.period]
-    program = read(ca.Function("moves", columns, [moves], TO_READ))
+    if name := next(switches([loop.state, leaves], [loop.p, loop.w, loop.period], moves), ""):
+        raise UndecidedError(f"the loop is not smooth: {name} of a state or a command switches")
+
+
+def switches(columns: Sequence[SX], others: Sequence[SX], expression: SX) -> Iterator[str]:
+    """Operations on symbols of `columns` whose values or slopes jump; `others` are all other symbols."""
+    program = read(ca.Function("switches", [ca.vertcat(*columns), *others], [ca.vec(expression)], TO_READ))
     moving = list[bool]()
     for node in program.nodes:
         own = node.code == INPUT and node.a == 0
         moving.append(own or (node.code != INPUT and any(moving[place] for place in node.operands)))
         if moving[-1] and node.code in JUMPS | KINKS | EDGES:
-            raise UndecidedError(f"the loop is not smooth: {sign_of(node.code)} of a state or a command switches")
+            yield sign_of(node.code)
 
 
 def _refuse_nonlinear(loop: ClosedLoop, slopes: Sequence[SX], names: Sequence[Sequence[str]]) -> None:
@@ -232,14 +237,21 @@ def _refuse_nonlinear(loop: ClosedLoop, slopes: Sequence[SX], names: Sequence[Se
 
 
 def _acting(A: SX, K: SX) -> tuple[list[int], list[int]]:
-    """States that act on a held signal, directly or through others; and the held signals that depend on them."""
-    reads, held = A.sparsity(), K.sparsity()
-    pairs = set(zip(*reads.get_triplet(), strict=True))
-    by_signal = set(zip(*held.get_triplet(), strict=True))
-    kept = {column for _, column in by_signal}
-    while more := {column for row, column in pairs if row in kept} - kept:
-        kept |= more
-    return sorted(kept), sorted({row for row, _ in by_signal})
+    """States on which a rate or a held signal depends; and the held signals that depend on states.
+
+    The other states are integrals of these, which go to zero exponentially, so that they remain bounded.
+    """
+    rates, held = A.sparsity().get_triplet(), K.sparsity().get_triplet()
+    return sorted({*rates[1], *held[1]}), sorted({*held[0]})
 
 
-__all__ = ["HeldLoop", "HeldSlopes", "commands_of", "held_loop", "held_slopes", "other_steps", "own_numbers"]
+__all__ = [
+    "HeldLoop",
+    "HeldSlopes",
+    "commands_of",
+    "held_loop",
+    "held_slopes",
+    "other_steps",
+    "own_numbers",
+    "switches",
+]

@@ -1,9 +1,9 @@
 """Sampling intervals of a loop for all robots in the intervals of a graph, and for all slopes of its plant.
 
 One storage function is proved for all matrices (A, E) of the box (`dmframe.analysis.held_storage`). Inequality (2)
-there is convex in (A, E): it is decided at the corners of the box if (A, E) is affine in each uncertain number and K
-depends on none, since all (A, E) are then convex combinations of those at the corners; else at the corners of the
-enclosures of the elements of A and E over the box.
+there is convex in (A, E): it is decided at the corners of the box if (A, E) is affine in each uncertain number, without
+switches, and K depends on none, since all (A, E) are then convex combinations of those at the corners; else at the
+corners of the enclosures of the elements of A and E over the box.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from flint import arb
 
-from dmframe.analysis.held import HeldLoop, HeldSlopes, own_numbers
+from dmframe.analysis.held import HeldLoop, HeldSlopes, own_numbers, switches
 from dmframe.analysis.held_storage import find_storage
 from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
@@ -62,8 +62,10 @@ def _numbers(loop: HeldLoop) -> np.ndarray:
 
 
 def _is_affine(slopes: HeldSlopes, symbols: SX) -> bool:
-    """True if (A, E) is affine in each symbol, and K depends on none."""
+    """True if (A, E) is affine in each symbol without switches, and K depends on none."""
     A, E, K = slopes.matrices
+    if next(switches([symbols], [slopes.loop.p], ca.veccat(A, E)), ""):  # their derivatives are zero, too
+        return False
     both = ca.veccat(A, E)
     curved = (ca.jacobian(ca.jacobian(both, symbol), symbol) for symbol in ca.vertsplit(symbols))
     return not ca.depends_on(ca.vec(K), symbols) and all(each.is_zero() for each in curved)

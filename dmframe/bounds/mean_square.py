@@ -44,7 +44,6 @@ from math import inf, isfinite, sqrt
 from typing import Any, Final, final
 
 import casadi as ca
-import numpy as np
 
 from dmframe.block.certificate import SX, Square
 from dmframe.bounds.disturbed import NoBoundError, require_disturbed
@@ -60,22 +59,22 @@ from dmframe.certify.form import stepping
 from dmframe.certify.reach import largest_tube
 from dmframe.certify.shell import largest_jacobian
 from dmframe.certify.symbols import symbols_of
-from dmframe.certify.tacit import pieces_of
+from dmframe.certify.tacit import instants_of
 from dmframe.certify.verdict import Verdict
 from dmframe.common.errors import ValueFault
 from dmframe.common.text import Text, Written
 from dmframe.common.units import plain
+from dmframe.diagram.closed_loop import stack
+from dmframe.exact import zero_test
 from dmframe.exact.balls import UndecidedError
-from dmframe.exact.rational import Interval, as_float
-from dmframe.prove.definite import Number, lower, upper
+from dmframe.exact.rational import Interval
+from dmframe.program import TO_READ
 
 ROUNDED: Final = 1 + 1e-12
 """Factor that covers the rounding of the last operations in floating point."""
 TOOL: Final = Text(Written("x - x(q_d)", "x − x(q_d)", r"x - x(q_d)"))
 """Distance of the tool from its place at the desired joint positions."""
 DISTURBED: Final = Share(Text("the disturbance"), of_start=False)
-DRAWN: Final = 3
-"""Robots at which the pieces of a signal with steps are compared."""
 SPLITS: Final = tuple(k / 200 for k in range(1, 200))
 """Values of r in (3)."""
 
@@ -170,20 +169,16 @@ class _ErrorBounds:
         return ErrorBounds(tuple(found), tuple(missing))
 
     def _is_constant(self, signal: SX) -> bool:
-        """True for a piecewise constant signal that has the same value on all pieces, of robots drawn from the box."""
-        pieces, _ = pieces_of(self._claim, self._numbers, self._claim.loop.on_path(signal))
-        if not pieces:
-            return False
-        parameters = self._claim.loop.parameters
-        function = ca.Function("pieces", [parameter.symbol for parameter in parameters], pieces, {"allow_free": True})
-        rng = np.random.default_rng(0)
-        for _ in range(DRAWN):
-            drawn = [_drawn(self._numbers.values[parameter.label], rng) for parameter in parameters]
-            shaped = [ca.reshape(ca.DM(x), *p.symbol.shape) for x, p in zip(drawn, parameters, strict=True)]
-            first, *others = (ca.DM(x).full() for x in function.call(shaped))
-            if any((first != other).any() for other in others):
-                return False
-        return True
+        """True for a piecewise constant signal that is the same function of the uncertain parameters on all pieces."""
+        loop, uncertain = self._claim.loop, self._numbers.uncertain
+        expression = ca.densify(loop.on_path(signal))
+        known = [parameter for parameter in loop.parameters if parameter.label not in uncertain]
+        symbols, values = [p.symbol for p in known], [ca.SX(ca.DM(p.value.reshape(p.symbol.shape))) for p in known]
+        pieces = [
+            ca.substitute(ca.substitute([expression], [loop.time], [at]), symbols, values)[0]
+            for at in instants_of(loop.time, expression) or ()
+        ]
+        return bool(pieces) and _vanishes(ca.vertcat(ca.SX(0), *(piece - pieces[0] for piece in pieces[1:])))
 
     def _servo(self) -> Part:
         """The block that dominates all cross terms."""
@@ -333,13 +328,13 @@ def _value(bound: ErrorBound) -> float:
     return bound.value
 
 
+def _vanishes(expression: SX) -> bool:
+    """True if an expression is zero for all values of its symbols."""
+    return bool(zero_test(ca.Function("zero", [stack(ca.symvar(expression))], [ca.densify(expression)], TO_READ)).zero)
+
+
 def _second(pair: tuple[Text, float]) -> float:
     return pair[1]
-
-
-def _drawn(values: Sequence[Number], rng: np.random.Generator) -> list[float]:
-    """A number from each interval."""
-    return [as_float(lower(x)) + rng.uniform() * (as_float(upper(x)) - as_float(lower(x))) for x in values]
 
 
 @final

@@ -259,8 +259,7 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     slope = ca.jacobian(expression, loop.time)
     if not slope.is_zero():
         return [], numbers.reads(expression)
-    time = symbols_in([loop.time])
-    steps = [x for x, _ in instructions([expression]) if x.op() in JUMPS and symbols_in([x]) & time]
+    steps = _steps(loop.time, expression)
     if not steps:
         return [expression], ca.SX(0, 1)
     if (moments := _moments(loop.time, steps)) is not None:
@@ -271,11 +270,24 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     return pieces, numbers.reads(ca.vertcat(*steps))
 
 
+def instants_of(time: SX, expression: SX) -> list[SX] | None:
+    """Zero and an instant in each later piece of a piecewise constant function of time, as functions of the parameters.
+
+    None if the function is not piecewise constant, or the instants are not known.
+    """
+    return _moments(time, _steps(time, expression)) if ca.jacobian(expression, time).is_zero() else None
+
+
+def _steps(time: SX, expression: SX) -> list[SX]:
+    """Operations on time whose value jumps."""
+    return [x for x, _ in instructions([expression]) if x.op() in JUMPS and ca.depends_on(x, time)]
+
+
 def _moments(time: SX, steps: Sequence[SX]) -> list[SX] | None:
     """Zero and an instant after each switch, as functions of the parameters; None for a switch that is no instant.
 
-    A switch compares a term that is linear in time. Each piece that is longer than `AFTER` then contains one of these
-    instants, for all values of the parameters.
+    A switch compares a term that is linear in time, without other switches. Each piece that is longer than `AFTER` then
+    contains one of these instants, for all values of the parameters.
     """
     found = [ca.SX(0.0)]
     for step in steps:
@@ -283,7 +295,7 @@ def _moments(time: SX, steps: Sequence[SX]) -> list[SX] | None:
             return None
         difference = step.dep(0) - step.dep(1)
         slope = ca.jacobian(difference, time)
-        if not slope.is_constant() or slope.is_zero():
+        if not slope.is_constant() or slope.is_zero() or _steps(time, difference):
             return None
         at = -ca.substitute(difference, time, ca.SX(0)) / slope
         found.append(ca.fmax(at + AFTER, 0))

@@ -7,7 +7,7 @@ parameters are then the least ones that hold all values.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -36,7 +36,7 @@ def intervals(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, list[Inte
     ------
     DmframeError
         A name that is not a parameter of the plant; a value that is not an interval, or excludes the graph's own
-        number; a ratio whose second parameter may be zero.
+        number; a ratio whose second parameter may be zero, or is given by a ratio.
     """
     found, faults = dict[str, list[Interval]](), list[DmframeError]()
     for label, value in sorted(given.items(), key=lambda item: RATIO in item[0]):
@@ -47,6 +47,7 @@ def intervals(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, list[Inte
                 continue
             found[label] = _read(diagram, label, value)
             if second:
+                _refuse_chain(label, given)
                 found[first] = _product(label, found[label], _of(diagram, first.partition(".")[0], second, found))
         except DmframeError as fault:
             faults.append(fault)
@@ -137,6 +138,14 @@ def _of(diagram: Diagram, name: str, key: str, found: Mapping[str, list[Interval
     """The intervals of a parameter, or its own numbers."""
     own = diagram.models[name].values[key].ravel(order="F")
     return found.get(f"{name}.{key}") or [Interval(decimal(float(x)), decimal(float(x))) for x in own]
+
+
+def _refuse_chain(label: str, given: Iterable[str]) -> None:
+    """Raise `ValueFault` if the second parameter of a ratio is itself given by a ratio."""
+    _, second = tie_of(label) or ("", "")
+    if other := next((other for other in given if RATIO in other and (tie_of(other) or ("",))[0] == second), ""):
+        text = f"uncertain.{label}: expected a second parameter that no ratio gives, found the ratio {other}"
+        raise ValueFault(text, path=("uncertain", label))
 
 
 def _product(label: str, ratio: list[Interval], other: list[Interval]) -> list[Interval]:

@@ -21,8 +21,8 @@ def clock_text(proof: ClockProof) -> str:
         covered = "" if proof.covers_clock or proof.clock is None else ": the clock is slower"
         lines = [
             f"{own}: proved on a clock for all sampling intervals up to {limit}, equal or not{covered}",
-            f"a storage function of {', '.join(proof.states)} falls between samples and at them; two motions on one "
-            "path approach each other",
+            f"a storage function of {', '.join(proof.states)} falls between samples and at them; the difference of "
+            "two motions on one path goes to zero in these states",
         ]
         if proof.over:
             lines.append(f"for all robots in the intervals of {', '.join(proof.over)}")

@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 import dmframe as dm
 from dmframe.analysis.held import HeldLoop, held_loop
+from dmframe.analysis.held_proof import prove_clock
 from dmframe.analysis.held_storage import HeldStorage, find_storage, proved_interval
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.block.parameter import Real, Scalar
@@ -247,3 +248,42 @@ def test_a_law_that_reads_nothing_is_refused() -> None:
 
     with pytest.raises(UndecidedError, match="no held signal depends on a state"):
         held_loop(Diagram.build({"law": Constant(), "cart": Cart()}))
+
+
+@pytest.mark.parametrize(
+    ("rates", "states"),
+    [
+        ({"z": lambda x: x.y}, ("plant.y",)),
+        ({"z": lambda x: x.y, "w": lambda x: x.y + 1}, ("plant.y",)),
+        ({"z": lambda x: x.y - x.z}, ("plant.y", "plant.z")),
+        ({"z": lambda x: x.y + x.z}, ()),
+        ({"z": lambda x: x.y, "w": lambda x: x.z}, ()),
+        ({"z": lambda x: x.y + x.z * x.z / 1000}, ()),
+    ],
+    ids=["integral", "two", "stable", "unstable", "double", "nonlinear"],
+)
+def test_only_integrals_of_the_other_states_are_left_out(rates: dict[str, Any], states: tuple[str, ...]) -> None:
+    class Plant(AbstractBlock):
+        """dy/dt = u, with states that do not act on y."""
+
+        side = Side.PLANT
+        inputs = (Input("u"),)
+        outputs = (Output("y", access=Access.MEASURED),)
+        states: ClassVar[tuple[State, ...]] = tuple(map(State, ("y", *rates)))
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            others = {name: rate(x) for name, rate in rates.items()}
+            return Equations(outputs={"y": x.y}, rates={"y": u.u, **others})
+
+    class Feedback(AbstractBlock):
+        """u = -3 y."""
+
+        inputs = (Input("y"),)
+        outputs = (Output("u", access=Access.COMMANDED),)
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"u": -3 * u.y})
+
+    found = prove_clock(Diagram.build({"law": Feedback(), "plant": Plant()}), 0.01)
+    assert found.states == states
+    assert (found.interval is not None) == bool(states)

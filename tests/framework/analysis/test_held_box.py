@@ -6,6 +6,7 @@ from fractions import Fraction
 from itertools import product
 from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -112,6 +113,36 @@ def test_parameters_on_which_the_loop_is_not_affine_are_enclosed() -> None:
     assert found is not None
     for tau in (0.19, 0.2, 0.21):
         assert 0.1 < found < unstable_from(held_loop(Diagram.build({"law": Law(), "lag": Lag(tau=tau)})))
+
+
+@pytest.mark.parametrize("name", ["fabs", "step"])
+def test_a_parameter_that_switches_is_not_decided_at_the_ends_of_its_interval(name: str) -> None:
+    """At both ends, as in the middle, the gain is smaller than inside, where 2/3 s divided by it is the limit."""
+    gain = {
+        "fabs": lambda a: 4 - ca.fabs(ca.fabs(a) - 3),
+        "step": lambda a: 1 + 9 * ca.logic_and(a > 3.1, a < 4),
+    }[name]
+    largest = max(float(gain(ca.DM(a))) for a in np.linspace(-6, 6, 1201))
+
+    class Switched(AbstractBlock):
+        """dy/dt = gain(a) u."""
+
+        side = Side.PLANT
+        inputs = (Input("u"),)
+        outputs = (Output("y", access=Access.MEASURED),)
+        states: ClassVar[tuple[State, ...]] = (State("y"),)
+        a: Scalar = Real(default=0.0)
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"y": x.y}, rates={"y": gain(p.a) * u.u})
+
+    diagram = Diagram.build({"law": Law(), "plant": Switched()})
+    given = {"plant.a": [Interval(Fraction(-6), Fraction(6))]}
+    try:
+        found = interval_over_box(held_slopes(diagram, given), given)
+    except UndecidedError:
+        return
+    assert found < 2 / 3 / largest
 
 
 def test_a_box_with_an_unstable_robot_has_none() -> None:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -310,6 +311,51 @@ def test_a_load_that_changes_in_some_robot_of_the_box_has_no_bound() -> None:
     graph = dm.load("joint_tracking_bounded").set(changes)
     assert "V jumps where load.a_load does" in bounds(graph).missing
     assert bounds(graph.set({"uncertain": {}})).found
+
+
+LOAD = """
+from dmframe.block import TIME, AbstractBlock, Equations, Output, Real, Scalar, Side
+import casadi as ca
+
+class Load(AbstractBlock):
+    \"\"\"A point mass at the origin of the last joint, whose mass changes.\"\"\"
+
+    side = Side.SOURCE
+    uses_robot = True
+    inputs = (TIME,)
+    outputs = (Output("a_load", "10", steps=True),)
+    mass: Scalar = Real("", "kg", default=2.0)
+    most: Scalar = Real("", "kg", default=4.999)
+    T: Scalar = Real("", "s")
+
+    def equations(self, u, x, p):
+        return Equations({"a_load": ca.vertcat(MASS, ca.SX.zeros(9))})
+"""
+
+
+@pytest.mark.parametrize(
+    ("mass", "T", "over", "bounded"),
+    [
+        ("p.mass * (u.t >= p.T)", 0, 60, True),
+        ("p.mass * (u.t > p.T)", 0, 60, False),
+        ("p.mass + p.most * ca.floor(u.t / p.T)", 500, 1000, False),
+        ("p.mass + p.most * (u.t - p.T * (u.t > p.T) > p.T)", 3, 60, False),
+        ("p.mass + (u.t > p.T) * ca.fmax(p.mass - p.most, 0)", 5, 60, False),
+    ],
+    ids=["from the start", "after the start", "late", "nested", "some robots"],
+)
+def test_a_load_of_an_own_block_that_changes_at_some_time_in_some_robot_has_no_bound(
+    mass: str, T: float, over: float, bounded: bool, tmp_path: Path
+) -> None:
+    """After 100 s, or in the robots with a mass from 4.999 to 5 kg only, for example."""
+    (tmp_path / "load.py").write_text(LOAD.replace("MASS", mass))
+    text = Path(dm.load("joint_tracking_bounded").document.name).read_text()
+    own = text.replace("{type: payload, mass: [2], at: [0]}", f"{{type: load.py:Load, T: {T}}}")
+    (tmp_path / "own.yaml").write_text(own.replace("load.mass: [0, 5]", "load.mass: [1, 5]"))
+    graph = dm.load(tmp_path / "own.yaml", trust=True).set({"dynamics.a_d_hat_box": None})
+    found = bounds(graph, verdict_of(graph), over=over)
+    assert bool(found.found) == bounded
+    assert ("V jumps where load.a_load does" in found.missing) != bounded
 
 
 @pytest.mark.parametrize(("masses", "inertia", "proved"), [([1, 5], 0.1, True), ([-1, 5], 0.0, False)])

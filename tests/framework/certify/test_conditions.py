@@ -370,6 +370,11 @@ def test_the_mass_matrix_of_links_that_are_no_bodies_is_only_sampled_and_that_is
         ({"servo.K_X": [1, 2]}, "uncertain.servo.K_X: unknown parameter of the plant"),
         ({"inverse.K_c": [1, 2]}, "uncertain.inverse.K_c: unknown parameter of the plant"),
         ({"servo.K_D": [90, 100]}, "uncertain.servo.K_D: expected an interval that holds the graph's own"),
+        (
+            {"servo.K_I/K_P": [0.01, 100], "servo.K_P/K_D": [0.01, 100]},
+            "uncertain.servo.K_I/K_P: expected a second parameter that no ratio gives, found the ratio servo.K_P/K_D",
+        ),
+        ({"servo.K_P/K_P": [1, 2]}, "uncertain.servo.K_P/K_P: expected a second parameter that no ratio gives"),
         ({"servo.K_D": 80}, "uncertain.servo.K_D: expected an interval [lower, upper]"),
         ({"servo.K_D": [-1, 100]}, "uncertain.servo.K_D: expected a number > 0, found -1"),
     ],
