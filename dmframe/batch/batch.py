@@ -16,6 +16,7 @@ from dmframe.batch.simd import SimdLoop, compiled
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, runs_in, varied
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.cores import cores
 from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
@@ -25,7 +26,7 @@ from dmframe.simulate import Recording, simulate_many
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.engine import Choice, worth
 from dmframe.simulate.keep import Log, rotation_distance_of
-from dmframe.simulate.many import chosen_for_all, cores
+from dmframe.simulate.many import chosen_for_all
 from dmframe.simulate.run import Prepared, prepare
 from dmframe.simulate.solver import FIXED, Solver
 from dmframe.simulate.step import Step, build_parts

@@ -42,8 +42,9 @@ def own_copy(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return type(value)(map(own_copy, value))
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {item.name: getattr(value, item.name) for item in fields(value)}
-        return replace(value, **{name: own_copy(part) for name, part in parts.items() if isinstance(part, ca.SX)})
+        parts = {item.name: vars(value).get(item.name) for item in fields(value)}  # without what is loaded at first use
+        copies = {name: own_copy(part) for name, part in parts.items() if isinstance(part, ca.SX)}
+        return replace(value, **copies) if copies else value
     return value
 
 

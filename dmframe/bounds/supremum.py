@@ -44,10 +44,16 @@ class Box:
 
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
+        self._known = dict[int, tuple[Fraction, SX]]()
 
     def tops(self, expressions: Sequence[SX]) -> list[Fraction]:
-        """Upper end of each scalar in parameters and starts."""
-        return list(map(upper, self._numbers.enclosed(ca.vertcat(ca.SX(0, 1), *expressions))))
+        """Upper end of each scalar in parameters and starts, computed once."""
+        scalars = [ca.densify(each) for each in expressions]
+        new = {each.element_hash(): each for each in scalars if each.element_hash() not in self._known}
+        found = map(upper, self._numbers.enclosed(ca.vertcat(ca.SX(0, 1), *new.values())))
+        # the kept expressions keep their identities unique
+        self._known |= dict(zip(new, zip(found, new.values(), strict=True), strict=True))
+        return [self._known[each.element_hash()][0] for each in scalars]
 
     def tops_of_products(self, first: Sequence[SX], second: Sequence[SX]) -> list[list[Fraction]]:
         """Upper ends of the products of all pairs of scalars, none of which is negative; a row for each of `first`."""

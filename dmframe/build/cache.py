@@ -21,7 +21,7 @@ from typing import Final
 
 import platformdirs
 
-from dmframe.build.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
+from dmframe.build.compiler import FLAGS, LONG, SHARED, CompileFailed, Compiler, processor
 from dmframe.common.errors import ValueFault
 from dmframe.common.files import encoded
 
@@ -66,7 +66,7 @@ def cache_folder() -> Path:
 
 def key_of(source: str, compiler: Compiler) -> str:
     """Hash of everything that determines the machine code."""
-    inputs = "\0".join((source, repr((SHARED, FLAGS)), compiler.identity, processor()))
+    inputs = "\0".join((source, repr((SHARED, FLAGS, LONG)), compiler.identity, processor()))
     return hashlib.sha256(encoded(inputs)).hexdigest()[:40]
 
 

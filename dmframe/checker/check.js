@@ -181,12 +181,13 @@ globalThis.checker = (() => {
   function keys(item, text, names) {
     const must = names.split(" "), wrong = [...Object.keys(item).filter((x) => !must.includes(x)), ...must.filter((x) => !Object.hasOwn(item, x))];
     need(!wrong.length, `${text}: missing or unknown: ${wrong}`);
-    for (const name of ["name", "signal", "says", "label"]) if (must.includes(name)) printable(item[name]);
+    for (const name of ["name", "signal", "says", "label"]) if (must.includes(name)) (name === "says" || text === "conditions" ? printable : named)(item[name]);
     for (const name of ["exact", "strict"]) need(!must.includes(name) || typeof item[name] === "boolean", name);
     return item;
   }
   const printable = (x) => (typeof x === "string" && /^[ -~]*$/.test(x) ? x : fail("a text")); // letters of two alphabets may look alike
-  const distinct = (names) => need(new Set(names).size === names.length, "a name of two conclusions, conditions, assumed weights or matrices");
+  const named = (x) => (/^\S(.*\S)?$/.test(printable(x)) && !/^.*\b(is|are|goes)\b/.test(x) ? x : fail(`a name: ${x}`)); // it must not read as a statement
+  const distinct = (names) => need(new Set(names).size === names.length, "a name of two signals, conditions, assumed weights, boxes or matrices");
   const whole = (x, from = 0, to = LARGEST) => {
     need(Number.isSafeInteger(x) && from <= x && x < to, `no number: ${x}`);
     return x;
@@ -196,7 +197,7 @@ globalThis.checker = (() => {
 
   class Certificate {
     constructor(data) {
-      need(data.format === "dmframe-certificate" && data.version === 4 && ["flow", "sample"].includes(data.over), "version: expected 4; write the file again");
+      need(data?.format === "dmframe-certificate" && data.version === 4 && ["flow", "sample"].includes(data.over), "version: expected 4; write the file again");
       this.samples = data.over === "sample";
       keys(data, "the file", TOP);
       for (const own of [data.about, data.rates]) need(typeof own === "object" && own && !Array.isArray(own), "expected an object");
@@ -226,8 +227,11 @@ globalThis.checker = (() => {
       }));
       this.terms = this.terms.map((item) => this.readTerm(item));
       for (const [name, own] of Object.entries(VECTORS)) this[name] = this[name].map((item) => this.withVectors(item, own, ["conditions", "conclusions"].includes(name)));
+      for (const { vector: { length: n }, weight, loss } of this.stable) need([weight, loss].every((x) => [n, n * n].includes(x.length)), "a linear equation: its sizes");
       this.robots = this.robots.map((item) => ({ ...item, joints: list(item.joints).map((own) => this.readJoint(own)) }));
-      distinct([...new Set(this.ranks.map((x) => `${x.matrix} ${x.name}`))].map((text) => text.slice(text.indexOf(" "))));
+      const boxes = this.terms.filter((x) => x.rule === "projected").map((x, k) => [x.name, [x["true"], x.lower, x.upper, this.samples || k]]);
+      const signals = [...this.symbols.map((x) => [x.label, this.inputs(x.label)]), ...this.conclusions.filter((x) => x.vector).map((x) => [x.signal, x.vector])];
+      for (const pairs of [signals, this.ranks.map((x) => [x.name, x.matrix]), boxes]) distinct([...new Set(pairs.map(([name, own]) => `${own} ${name}`))].map((text) => text.slice(text.indexOf(" "))));
       this.derivatives = new Map();
       const moved = this.terms.flatMap((item) => item.correction ?? []);
       need(this.samples || new Set(moved).size === moved.length, "a correction occurs twice");
@@ -262,7 +266,7 @@ globalThis.checker = (() => {
     readTerm(item) {
       const { name, role, rule, assumed } = item;
       need(typeof role === "string" && Object.hasOwn(ROLES, role) && ROLES[role].includes(rule) && (!this.samples || ["square", "projected"].includes(rule)), `${name}: unknown rule ${rule} of a ${role} term`);
-      keys(item.parts, name, PARTS[rule]);
+      keys(item.parts, "parts", PARTS[rule]);
       if (assumed !== null) printable(assumed);
       return { name, role, rule, assumed, ...this.withVectors(item.parts, PARTS[rule]) };
     }
@@ -330,10 +334,12 @@ globalThis.checker = (() => {
   }
   const root = (g, x, v) => g.call("sqrt", g.add(ONE, g.mul(g.div(x, v), g.div(x, v))));
 
+  const clipped = (g, { vector, lower, upper }) => g.pairs("fmin", g.pairs("fmax", vector, lower), upper);
+
   // What a projection adds to the rates of estimates; over samples, what moves values into their box.
   function corrected(of, { vector, correction, lower, upper }) {
     const g = of.graph;
-    if (of.samples) return g.minus(g.pairs("fmin", g.pairs("fmax", vector, lower), upper), vector);
+    if (of.samples) return g.minus(clipped(g, { vector, lower, upper }), vector);
     need(vector.every((k) => of.kind(k) === "state") && correction.every((k) => of.kind(k) === "correction"), "a projection");
     need(of.of([...lower, ...upper], ["constant"]), "a box that moves");
     return g.minus(vector.map((k) => of.next(k)), nominal(of, vector, correction));
@@ -543,7 +549,7 @@ globalThis.checker = (() => {
 
   class Signs {
     constructor(of) { Object.assign(this, { of, boxes: new Map(), assumed: [], strict: new Set() }); }
-    // Intervals of nodes; null if they depend on more than these, or on a function.
+    // Intervals of nodes; null if they are not decided.
     bounds(nodes) {
       try {
         return this.intervals(nodes);
@@ -574,6 +580,11 @@ globalThis.checker = (() => {
       const values = this.bounds(size > 1 && nodes.length === size * size ? this.pivots(matrix(nodes, size)) : nodes);
       return values ? values.reduce((least, [[n]]) => Math.min(least, (n > 0n) - (n < 0n)), 1) : -1;
     }
+    // Nodes that depend on numbers alone. What is assumed of a vector must hold for these.
+    decided(nodes) {
+      const { graph: g, known } = this.of, open = (k) => (g.op[k] === INPUT ? !known.has(k) && !this.boxes.has(k) : g.op[k] >= CALL && g.name(k) !== "fabs");
+      return nodes.filter((x) => !g.slice([x]).some(open));
+    }
     // A matrix is positive definite if all pivots of its symmetric part are positive.
     pivots(all) {
       need(all.length <= ROWS, "a matrix is too large");
@@ -589,17 +600,25 @@ globalThis.checker = (() => {
     // True for a term that is not negative; `strict` collects those with a positive weight.
     term(term) {
       const { rule, name, weight, scale, assumed, vector } = term;
-      let sign = this.sign(weight, rule === "square" ? vector.length : 0);
-      if (assumed && !this.bounds(weight)) sign = this.assumed.push(`${name}: its weight is uniformly positive: ${assumed}`) && 1;
+      const n = vector.length, wide = rule === "square" && weight.length === n * n, decided = this.decided(weight);
+      let sign = this.sign(weight, rule === "square" ? n : 0);
+      if (assumed && decided.length < weight.length) {
+        this.assumed.push(`${name}: its weight is uniformly positive: ${assumed}`);
+        sign = this.sign(wide ? this.decided(weight.filter((_, k) => k % (n + 1) === 0)) : decided);
+        if (sign < 1) refute(`${name}: its weight`);
+      }
       if (sign < 0 || (scale && this.sign(scale) < 1)) refute(`${name}: its sign`);
       if (sign) this.strict.add(term);
       if (rule === "projected") this.inside(term);
     }
     inside({ name, vector, lower, upper, "true": inner }) {
-      const { graph: g, samples } = this.of, ends = [g.minus(upper, lower)];
-      if (this.bounds(inner)) ends.push(g.minus(inner, lower), g.minus(upper, inner));
-      else this.assumed.push(`${name}: its true value is inside its box`);
-      if (ends.some((x) => this.sign(x) < 0)) refute(`${name}: its box`);
+      const { graph: g, samples } = this.of;
+      let room = [...g.minus(inner, lower), ...g.minus(upper, inner)];
+      if (this.decided(inner).length < inner.length) {
+        this.assumed.push(`${name}: its true value is inside its box`);
+        room = this.decided(room);
+      }
+      if (this.sign(g.minus(upper, lower)) < 0 || this.sign(room) < 0) refute(`${name}: its box`);
       if (samples) return;
       this.assumed.push(`${name}: it starts in its box, and its law is this projection`);
       const [low, high] = [lower, upper].map((x) => this.bounds(x) ?? refute(`${name}: its box`));
@@ -616,9 +635,9 @@ globalThis.checker = (() => {
         if (joints.some(({ body }) => this.sign(pseudo(body).flat(), 4) < 1) || this.sign(rotors) < 0) refute("a body of the robot");
       }
       for (const item of of.conditions) {
-        const text = `condition: ${item.name}`;
-        if (!item.margin || !this.bounds(item.margin)) this.assumed.push(text);
-        else if (this.sign(item.margin) < Number(item.strict)) refute(text);
+        const text = `condition: ${item.name}`, margin = item.margin ?? [], decided = this.decided(margin);
+        if (!margin.length || decided.length < margin.length) this.assumed.push(text);
+        if (this.sign(decided) < Number(item.strict)) refute(text);
       }
       return this.strict;
     }
@@ -644,7 +663,7 @@ globalThis.checker = (() => {
   const units = (n) => Array.from({ length: n }, (_, k) => Array.from({ length: n }, (_, i) => BigInt(i === k)));
 
   // Bounded and vanishing signals, if V does not increase and trajectories, with their rates, are bounded. A direction of
-  // the state space is open if no bounded signal determines it. With bounded functions frozen, a signal whose derivative
+  // the space of states, corrections and time is open if no bounded signal determines it. With bounded functions frozen, a signal whose derivative
   // along a random open direction is zero is bounded; a bounded signal with constant derivatives closes a direction.
   // Parameters have the numbers of the file.
   class Conclusions {
@@ -657,7 +676,7 @@ globalThis.checker = (() => {
           given.set(k, String(low) === String(high) ? first.residue(low) : first.random());
         }
       }
-      this.columns = of.symbols.filter((item) => ["state", "time"].includes(item.kind)).flatMap((item) => of.inputs(item.label));
+      this.columns = of.symbols.filter((item) => ["state", "time", "correction"].includes(item.kind)).flatMap((item) => of.inputs(item.label));
       need(this.columns.length <= WIDEST, "too many states");
       this.open = units(this.columns.length);
       this.points = [0, 1].map(() => new Point(of, p, size, given, true));
@@ -666,7 +685,6 @@ globalThis.checker = (() => {
       this.wanted = of.conclusions.filter((item) => item.vector);
       this.bounds = [];
       this.sources = [];
-      this.loose = new Set(of.symbols.filter((item) => item.kind === "correction").flatMap((item) => of.inputs(item.label)));
       this.premises();
       while (this.bounds.map(([given, nodes]) => this.bounded(given) && !this.bounded(nodes) && this.grow(nodes)).some((x) => x));
       this.count = 4 + [...this.wanted.filter((x) => x.says === "goes to zero").map((x) => x.vector), ...this.sources.map((x) => x[1])].flat().length;
@@ -687,7 +705,7 @@ globalThis.checker = (() => {
     }
     bounded(nodes) {
       const weights = this.open.map(() => below(this.p, this.size)), u = this.columns.map((_, k) => this.dot(weights, this.open.map((x) => x[k])));
-      return !nodes.includes(NONE) && !this.g.slice(nodes).some((k) => this.loose.has(k)) && !this.along(nodes, u).some((x) => x);
+      return !nodes.includes(NONE) && !this.along(nodes, u).some((x) => x);
     }
     restrict(slopes) {
       const before = this.open.length;
@@ -695,7 +713,6 @@ globalThis.checker = (() => {
       return this.open.length < before;
     }
     grow(nodes) {
-      if (this.loose.has(nodes[0])) return nodes.map((k) => this.loose.delete(k)).length > 0;
       const [one, other] = [0, 1].map((place) => this.open.map((u) => this.along(nodes, u, place)));
       return this.restrict(one.map((row) => row.filter((_, k) => one.every((x, i) => x[k] === other[i][k]))));
     }
@@ -766,19 +783,12 @@ globalThis.checker = (() => {
 
   // What holds for any residual: all that is dissipated is in sum at most V at the start and the residual.
   function* withResidual(of, strict) {
-    const g = of.graph, clipped = (k) => {
-      if (g.name(k) !== "fmin") return false;
-      const inner = g.a[k];
-      return g.name(inner) === "fmax" && of.of([g.b[inner], g.b[k]], ["constant"]);
-    };
     yield "V does not rise where the residual is zero";
-    for (const { name, role, rule } of strict) {
-      if (role === "dissipated" && rule === "square") yield `${name} is ${of.samples ? "summable" : "integrable"} where the residual is`;
-    }
-    for (const { label, size } of of.samples ? of.symbols : []) {
-      const next = of.moves.get(of.places.get(label));
-      if (size && next?.every(clipped)) yield `${label} is bounded`;
-    }
+    const squares = of.terms.filter((x) => x.role === "dissipated" && x.rule === "square"), weak = new Set(squares.filter((x) => !strict.has(x)).map((x) => x.name));
+    for (const { name } of squares) if (!weak.has(name)) yield `${name} is ${of.samples ? "summable" : "integrable"} where the residual is`;
+    const boxes = of.terms.filter((x) => of.samples && x.rule === "projected" && of.of([...x.lower, ...x.upper], ["constant"]));
+    const inside = new Set(boxes.flatMap((x) => clipped(of.graph, x)));
+    for (const { label } of of.symbols) if (of.moves.get(of.places.get(label))?.every((k) => inside.has(k))) yield `${label} is bounded`;
   }
 
   function proved(data) {
@@ -816,7 +826,7 @@ globalThis.checker = (() => {
       return proved(data);
     } catch (fault) {
       if (fault instanceof Refuted) return { status: "refuted", reason: fault.message };
-      return { status: "refused", reason: fault.message };
+      return { status: "refused", reason: `${fault instanceof Refused ? "" : "no valid certificate: "}${fault.message}` };
     }
   }
   return { check };
@@ -824,9 +834,18 @@ globalThis.checker = (() => {
 
 if (typeof module === "object" && typeof require === "function") {
   globalThis.crypto ??= require("crypto").webcrypto;
+  const fs = require("fs");
+  // At most 20 MB of a file, which may be a pipe or a device.
+  const content = (path) => {
+    const file = fs.openSync(path), bytes = Buffer.alloc(2e7);
+    let size = 0;
+    for (let more = 1; more && size < 2e7; size += more) more = fs.readSync(file, bytes, size, 2e7 - size);
+    return bytes.subarray(0, size);
+  };
   // The data of a file of UTF-8. No key occurs twice in one object: the text has as many keys as the data. All numbers are whole.
   const read = (bytes) => {
-    if (bytes.length >= 2e7) throw new Error("the file is too long");
+    if (!bytes.length) throw new Error("it is empty");
+    if (bytes.length >= 2e7) throw new Error("it is too long");
     const text = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes);
     let count = -1;
     const data = JSON.parse(text, function (_, value) {
@@ -843,12 +862,16 @@ if (typeof module === "object" && typeof require === "function") {
     const paths = process.argv.slice(2).filter((x) => x !== "--json");
     let result = { status: "refused", reason: "usage: node check.js FILE [--json]" };
     try {
-      if (paths.length === 1) result = globalThis.checker.check(read(require("fs").readFileSync(paths[0])));
+      if (paths.length === 1) result = globalThis.checker.check(read(content(paths[0])));
     } catch (fault) {
-      result.reason = String(fault.message);
+      result.reason = `cannot read the file: ${fault.message}`;
     }
+    process.stdout.on("error", ({ code }) => { // a program such as head closes its pipe
+      if (code !== "EPIPE") process.exitCode = 2;
+    });
+    const escaped = (x) => String(x).replace(/[^ -~]/g, (letter) => `\\u${letter.charCodeAt(0).toString(16).padStart(4, "0")}`);
     if (process.argv.includes("--json")) console.log(JSON.stringify(result, null, 1));
-    else for (const [name, value] of Object.entries(result)) console.log(`${name.replaceAll("_", " ")}:`, Array.isArray(value) ? value.map((x) => `\n  ${x}`).join("") : value);
+    else for (const [name, value] of Object.entries(result)) console.log(`${name.replaceAll("_", " ")}:${Array.isArray(value) ? value.map((x) => `\n  ${escaped(x)}`).join("") : ` ${escaped(value)}`}`);
     process.exitCode = { "re-proved": 0, refuted: 1, refused: 2 }[result.status];
   }
 }

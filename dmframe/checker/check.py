@@ -14,6 +14,7 @@ holds identically, or the same for V(x+) - V(x). The file contains no value of V
 
 import json
 import operator
+import os
 import re
 import secrets
 import sys
@@ -31,12 +32,12 @@ BINARY = set("add sub mul div fmin fmax lt le eq and if_else_zero atan2".split()
 OPERATIONS = {"const", "input", *UNARY, *BINARY}
 BOUNDED = set("sin cos tanh atan atan2 sign lt le eq not and".split())
 KINDS = {"constant", "given", "time", "state", "correction"}
-RULES = {  # of terms: their roles, and their parts
-    "square": ("stored dissipated residual", "vector weight"),
-    "potential": ("stored", "vector scale weight"),
-    "tanh": ("dissipated", "vector other scale weight"),
-    "atan": ("dissipated", "vector other scale weight"),
-    "projected": ("dissipated", "vector correction true lower upper weight"),
+RULES = {  # of terms: their roles, their parts, and where they are known
+    "square": ("stored dissipated residual", "vector weight", "flow sample"),
+    "potential": ("stored", "vector scale weight", "flow"),
+    "tanh": ("dissipated", "vector other scale weight", "flow"),
+    "atan": ("dissipated", "vector other scale weight", "flow"),
+    "projected": ("dissipated", "vector correction true lower upper weight", "flow sample"),
 }
 ASSUMED = [
     "names, rates and next values are those of the loop that runs, and its solutions exist for all time",
@@ -89,22 +90,16 @@ class Node:
         return other if self is ONE else self if other is ONE else Node("mul", self, other)
 
     def __truediv__(self, other):
-        return self * inverse(other)
+        return self * (ONE if other is ONE else Node("inv", other))
 
 
 def number(value):
     return ZERO if value == 0 else ONE if value == 1 else Node("number", value=Fraction(value))
 
 
-def inverse(node):
-    return ONE if node is ONE else Node("inv", node)
-
-
 def built(name, *of):
     """The node of an operation."""
-    if name == "inv":
-        return inverse(*of)
-    return ARITHMETIC[name](*of) if name in ARITHMETIC else Node(name, *of)
+    return ONE / of[0] if name == "inv" else ARITHMETIC.get(name, partial(Node, name))(*of)
 
 
 ZERO, ONE = Node("number", value=Fraction(0)), Node("number", value=Fraction(1))
@@ -164,11 +159,6 @@ def rates(nodes, moves, found):
     return evaluate(nodes, call, found)
 
 
-def slopes(nodes, symbol):
-    """Derivatives by one symbol."""
-    return rates(nodes, lambda node: ONE if node is symbol else ZERO, {})
-
-
 class Field:
     """Values modulo a prime. A function has a random value for each argument: what holds for all values holds for those
     of the function. sin and cos of one argument are a random point of the unit circle. If `frozen`, a bounded function
@@ -181,15 +171,15 @@ class Field:
     def random(self, *key):
         return self.known.setdefault(key, secrets.randbelow(self.p))
 
-    def number(self, value):
-        return value.numerator * pow(value.denominator, -1, self.p) % self.p
+    def residues(self, numbers):
+        return {node: x.numerator * pow(x.denominator, -1, self.p) % self.p for node, x in numbers.items()}
 
     def __call__(self, node, *given):
         name = node.name
         if name in ARITHMETIC:
             return ARITHMETIC[name](*given) % self.p
         if name == "number":
-            return self.number(node.value)
+            return self.residues({node: node.value})[node]
         if name == "inv":
             return pow(*given, -1, self.p)
         if name in ("sin", "cos"):
@@ -199,38 +189,27 @@ class Field:
         return self.random(node) if still else self.random(name, *given)
 
 
-class Interval:
-    """A rational interval, which contains all values over the intervals of the symbols. Where these do not decide, an
-    ArithmeticError is raised.
+def interval(node, *given):
+    """Least and largest value of an operation over intervals of its operands, as rational numbers; an ArithmeticError
+    where these do not decide.
     """
-
-    def __init__(self, *values):
-        short = all(max(abs(x.numerator), x.denominator) <= HIGHEST for x in values)
-        need(short, "a number is too long", ArithmeticError)
-        self.lower, self.upper = min(values), max(values)
-
-    def __add__(self, other):
-        return Interval(self.lower + other.lower, self.upper + other.upper)
-
-    def __sub__(self, other):
-        return Interval(self.lower - other.upper, self.upper - other.lower)
-
-    def __mul__(self, other):
-        product = Interval(*(x * y for x in (self.lower, self.upper) for y in (other.lower, other.upper)))
-        return Interval(max(product.lower, Fraction(0)), product.upper) if self is other else product
-
-    @staticmethod
-    def call(node, *given):
-        if node.name == "number":
-            return Interval(node.value, node.value)
-        if node.name in ARITHMETIC:
-            return ARITHMETIC[node.name](*given)
-        need(node.name in ("fabs", "inv"), "a symbol or a function without an interval", ArithmeticError)
-        (a,) = given
-        if node.name == "fabs":
-            return Interval(max(a.lower, -a.upper, Fraction(0)), max(-a.lower, a.upper))
-        need(a.lower > 0 or a.upper < 0, "a divisor may vanish", ArithmeticError)
-        return Interval(1 / a.upper, 1 / a.lower)
+    name, (a, b) = node.name, given[0] if given else (node.value, node.value)
+    if name in ("add", "mul"):
+        values = [ARITHMETIC[name](x, y) for x in given[0] for y in given[1]]
+        if name == "mul" and node.of[0] is node.of[1]:
+            values = [max(x, Fraction(0)) for x in values]  # a square
+    elif name == "sub":
+        values = [a - given[1][1], b - given[1][0]]
+    elif name == "fabs":
+        values = [max(a, -b, Fraction(0)), max(-a, b)]
+    elif name == "inv":
+        need(a > 0 or b < 0, "a divisor may vanish", ArithmeticError)
+        values = [1 / a, 1 / b]
+    else:
+        need(name == "number", "a symbol or a function without an interval", ArithmeticError)
+        values = [a, b]
+    need(all(max(abs(x.numerator), x.denominator) <= HIGHEST for x in values), "a number is too long", ArithmeticError)
+    return min(values), max(values)
 
 
 # ---- Vectors and matrices --------------------------------------------------------------------------------------------
@@ -268,15 +247,15 @@ def matrix(elements, rows):
 def weighted(weight, vector):
     """W a, with W a diagonal, or a matrix column by column."""
     n = len(vector)
-    return times(weight, vector) if len(weight) == n else each(lambda row: dot(row, vector), matrix(weight, n))
+    return times(weight, vector) if len(weight) == n else [dot(row, vector) for row in matrix(weight, n)]
 
 
 def symmetric(weight, n):
     """The symmetric part of a matrix; a diagonal is its own."""
-    rows = matrix(weight, n)
-    pairs = zip(rows, zip(*rows), strict=len(weight) != n)
-    half = number(Fraction(1, 2))
-    return weight if len(weight) == n else [half * (x + y) for pair in pairs for x, y in zip(*pair)]
+    if len(weight) == n:
+        return weight
+    rows, half = matrix(weight, n), [number(Fraction(1, 2))] * n
+    return flat(times(half, plus(*pair)) for pair in zip(rows, zip(*rows), strict=True))
 
 
 def pivots(rows):
@@ -303,11 +282,16 @@ def read(value, shape):
         return None if value is None else read(value, shape[0])
     if not isinstance(shape, set | type):
         return shape(value)
-    found = type(value) in (str, int) and value in shape if isinstance(shape, set) else type(value) is shape
-    fits = type(value) is not int or 0 <= value < LARGEST
-    if type(value) is str:
-        fits = value.isascii() and value.isprintable()  # letters of two alphabets may look alike
-    need(found and fits, f"unknown: {value!a:.40}")
+    fits = type(value) in (str, int) and value in shape if isinstance(shape, set) else type(value) is shape
+    fits = fits and (type(value) is not int or 0 <= value < LARGEST)
+    is_line = type(value) is not str or (value.isascii() and value.isprintable())  # letters may look alike
+    need(fits and is_line, f"unknown: {value!a:.40}")
+    return value
+
+
+def name(value):
+    """A name, which must not read as a statement."""
+    need(read(value, str).strip() == value > "" and not re.search(r"\b(is|are|goes)\b", value), f"a name: {value:.40}")
     return value
 
 
@@ -322,13 +306,17 @@ def rational(text):
 
 
 class Certificate:
-    """A file that has been read: its lists contain nodes in place of the numbers of vectors."""
+    """A file that has been read: its lists contain nodes in place of the numbers of vectors.
+
+    `known` are intervals of constants, and of states in boxes; `exact` those that are one number. `listed` collects
+    what is assumed.
+    """
 
     def __init__(self, data):
         need(type(data) is dict and data.get("version") == 4, "version: expected 4; write the file again")
         NODES.clear()
         vector = self.vector
-        joint = {"kind": {"revolute", "prismatic"}, "axis": vector, "place": vector, "body": vector}
+        joint = {"kind": {"revolute", "prismatic"}, "axis": vector, "place": vector, "body": self.read_body}
         shape = {  # in the order of reading
             "format": {"dmframe-certificate"},
             "version": {4},
@@ -341,64 +329,77 @@ class Certificate:
             "terms": [self.read_term],
             "robots": [{"position": str, "joints": [joint], "rotors": vector, "gravity": vector, "torque": vector}],
             "stable": [{"vector": vector, "weight": vector, "loss": vector}],
-            "ranks": [{"name": str, "matrix": vector, "vector": vector}],
+            "ranks": [{"name": name, "matrix": vector, "vector": vector}],
             "conditions": [{"name": str, "margin": (vector,), "strict": bool}],
-            "conclusions": [{"signal": str, "says": str, "vector": (vector,)}],
+            "conclusions": [{"signal": name, "says": str, "vector": (vector,)}],
             "assumed": [str],
         }
         need(data.keys() == shape.keys(), f"missing or unknown: {', '.join(sorted(data.keys() ^ shape.keys()))}")
         for key, own in shape.items():
             setattr(self, key, read(data[key], own))
-        self.samples, self.derivatives = self.over == "sample", {}
+        self.samples, self.derivatives, self.listed = self.over == "sample", {}, []
         need({*map(type, self.about.values())} <= {str}, "about: expected texts")
-        flow = self.robots or self.stable or self.ranks or {x.rule for x in self.terms} - {"square", "projected"}
-        need(not (self.samples and flow), "a rule that is unknown over a sample")
+        need(not (self.samples and (self.robots or self.stable or self.ranks)), "a rule that is unknown over a sample")
         need(any(term.role == "stored" for term in self.terms), "V has no term")
+        self.one_meaning()
+        for item in self.stable:
+            n = len(item.vector)
+            need({len(item.weight), len(item.loss)} <= {n, n * n}, "a linear equation: its sizes")
         corrections = [x for term in self.terms if term.rule == "projected" for x in term.parts.correction]
         need(self.samples or len({*corrections}) == len(corrections), "a correction occurs twice")
-        self.stated = [f"{item.signal} {item.says}" for item in self.conclusions]
-        conditions, weights = [x.name for x in self.conditions], [x.name for x in self.terms if x.assumed]
-        matrices = [name for name, *_ in {(x.name, *x.matrix) for x in self.ranks}]
-        for names in (self.stated, conditions, weights, matrices):
-            need(len({*names}) == len(names), "a name of two conclusions, conditions, assumed weights or matrices")
         for node, rate in self.rates.items():
             given = not self.samples and self.kinds_in([rate]) <= {"constant", "given", "time"}
             need(self.kind(node) == "state" or (self.kind(node) == "given" and given), f"{node.value[0]}: a rate")
 
+    def one_meaning(self):
+        """A name has one meaning; what is named once for each entry has the entry's position."""
+        self.stated = [f"{item.signal} {item.says}" for item in self.conclusions]
+        names = [("conclusion", text, k) for k, text in enumerate(self.stated)]
+        names += [("condition", x.name, k) for k, x in enumerate(self.conditions)]
+        names += [("assumed weight", x.name, k) for k, x in enumerate(self.terms) if x.assumed]
+        names += [("signal", label, nodes) for label, nodes in self.symbols.items()]
+        names += [("signal", x.signal, x.vector) for x in self.conclusions if x.vector]
+        names += [("matrix", x.name, x.matrix) for x in self.ranks]
+        for k, term in enumerate(self.terms):
+            if term.rule == "projected":  # over samples, several steps may end in one box
+                part = term.parts
+                names.append(("box", term.name, [part.true, part.lower, part.upper] if self.samples else k))
+        known = {}
+        for kind, name, meaning in names:
+            need(known.setdefault((kind, name), meaning) == meaning, f"{name}: a {kind} of two meanings")
+
     def read_symbols(self, items):
         """The nodes of each label."""
-        found, self.kinds, self.numbers, self.fixed = {}, {}, {}, {}
-        shape = {"label": str, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}
-        items = read(items, [shape])
+        found, self.kinds, self.known, self.fixed = {}, {}, {}, {}
+        items = read(items, [{"label": name, "kind": KINDS, "size": int, "numbers": ([[rational]],), "exact": bool}])
         need(sum(item.size for item in items) < LARGEST, "too many symbols")
         for item in items:
             given = item.numbers is not None
-            need(item.size, f"{item.label}: no elements")
-            need(item.label not in found, f"{item.label}: a symbol occurs twice")
+            need(item.size and item.label not in found, f"{item.label}: it has no elements, or occurs twice")
             need(item.kind == "constant" if given else not item.exact, f"{item.label}: its numbers")
-            nodes = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
-            found[item.label], self.kinds[item.label] = nodes, item.kind
-            for node, (lower, upper) in zip(nodes, item.numbers or (), strict=given):
+            found[item.label] = [Node("symbol", value=(item.label, k)) for k in range(item.size)]
+            self.kinds[item.label] = item.kind
+            for node, (lower, upper) in zip(found[item.label], item.numbers or (), strict=given):
                 need(lower == upper if item.exact else lower <= upper, f"{item.label}: its numbers")
-                self.numbers[node] = Interval(lower, upper)
+                self.known[node] = lower, upper
                 self.fixed |= {node: lower} if item.exact else {}
+        self.exact = {node: lower for node, (lower, upper) in self.known.items() if lower == upper}
         return found
 
     def read_program(self, value):
         """A zero, and the nodes of all instructions."""
         shape = {"operations": [OPERATIONS], "code": [int], "a": [int], "b": [int], "constants": [rational]}
-        program, labels, nodes, self.divided = read(value, shape), list(self.symbols), [ZERO], []
-        constants = list(map(number, program.constants))
+        program, labels, nodes, self.divisors = read(value, shape), list(self.symbols), [ZERO], []
         for k, first, second in zip(program.code, program.a, program.b, strict=True):
-            name = at(program.operations, k)
-            if name == "const":
-                nodes.append(at(constants, first))
-            elif name == "input":
+            operation = at(program.operations, k)
+            if operation == "const":
+                nodes.append(number(at(program.constants, first)))
+            elif operation == "input":
                 nodes.append(at(self.symbols[at(labels, first)], second))
             else:
-                x, y = at(nodes, first + 1), at(nodes, second + 1)
-                nodes.append(built(name, x) if name in UNARY else built(name, x, y))
-                self.divided += [inverse(y)] * (name == "div")  # a divisor must not vanish, even in a part times 0
+                of = [at(nodes, k + 1) for k in (first, second)]
+                nodes.append(built(operation, *of[: 1 if operation in UNARY else 2]))
+                self.divisors += [ONE / of[1]] * (operation == "div")  # they must not vanish, even in a part times 0
         return nodes
 
     def read_vector(self, places):
@@ -410,16 +411,21 @@ class Certificate:
         return dict(flat(zip(self.symbols[label], self.vector(k), strict=True) for label, k in value.items()))
 
     def read_term(self, value):
-        need(value["rule"] in RULES, f"unknown rule {value['rule']!r:.20}")
-        roles, parts = (text.split() for text in RULES[value["rule"]])
+        roles, parts, over = (text.split() for text in RULES.get(value["rule"], ("", "", "")))
+        need(self.over in over, f"unknown rule {value['rule']!r:.20} over a {self.over}")
         parts = dict.fromkeys(parts, self.vector)
-        return read(value, {"name": str, "role": {*roles}, "rule": str, "parts": parts, "assumed": (str,)})
+        return read(value, {"name": name, "role": {*roles}, "rule": str, "parts": parts, "assumed": (str,)})
+
+    def read_body(self, k):
+        """A pseudo-inertia from its elements on and below the diagonal, row by row."""
+        elements = self.vector(k)
+        return [[at(elements, max(i, k) * (max(i, k) + 1) // 2 + min(i, k)) for k in range(4)] for i in range(4)]
 
     def vector(self, k):
         return at(self.vectors, k)
 
     def kind(self, node):
-        return self.kinds[node.value[0]]
+        return self.kinds[node.value[0]] if node.name == "symbol" else ""
 
     def kinds_in(self, nodes):
         return {self.kind(x) for x in symbols(nodes)}
@@ -434,13 +440,28 @@ class Certificate:
         need(None not in found, "a derivative that does not exist, or of a function without a rule")
         return found
 
-    def change(self, node):
+    def change(self, value):
         """The derivative, or the difference to the next sample."""
         if not self.samples:
-            return self.sure_rate([node])[0]
-        still = [x for x in symbols([node]) if x not in self.rates]
+            return self.sure_rate([value])[0]
+        still = [x for x in symbols([value]) if x not in self.rates]
         need(self.kinds_in(still) <= {"constant"}, "V depends on what has no next value")
-        return replaced([node], self.rates)[0] - node
+        return replaced([value], self.rates)[0] - value
+
+    def sign(self, nodes, size=1):
+        """1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided."""
+        is_matrix = size > 1 and len(nodes) == size * size
+        nodes = pivots(matrix(symmetric(nodes, size), size)) if is_matrix else nodes
+        try:
+            least = min((lower for lower, _ in evaluate(nodes, interval, dict(self.known))), default=1)
+        except ArithmeticError:
+            return -1
+        return (least > 0) - (least < 0)
+
+    def decided(self, nodes):
+        """Those that depend on numbers alone. What is assumed of a vector must hold for these."""
+        parts = {"number", "fabs", "inv", *ARITHMETIC}
+        return [x for x in nodes if all(part.name in parts for part in below([x], self.known))]
 
 
 # ---- Terms and the robot ---------------------------------------------------------------------------------------------
@@ -466,10 +487,9 @@ def roots(part):
 def correction(of, part):
     """What a projection adds to the rates of estimates; over samples, what moves values into their box."""
     if of.samples:
-        box = part.vector, part.lower, part.upper
-        return minus(each(lambda x, low, high: Node("fmin", Node("fmax", x, low), high), *box), part.vector)
-    symbol = {("symbol", "state"), ("symbol", "correction")}
-    need({(x.name, of.kind(x)) for x in part.vector + part.correction} == symbol, "a projection: expected symbols")
+        return minus(clipped(part), part.vector)
+    kinds = {of.kind(x) for x in part.vector}, {of.kind(x) for x in part.correction}
+    need(kinds == ({"state"}, {"correction"}), "a projection: expected symbols")
     need(of.kinds_in(part.lower + part.upper) <= {"constant"}, "a box that moves")
     return minus([of.rates[x] for x in part.vector], nominal(of, part))
 
@@ -477,6 +497,10 @@ def correction(of, part):
 def nominal(of, part):
     """Rates of estimates without the corrections of their projection."""
     return replaced([of.rates[x] for x in part.vector], dict.fromkeys(part.correction, ZERO))
+
+
+def clipped(part):
+    return each(lambda x, low, high: Node("fmin", Node("fmax", x, low), high), part.vector, part.lower, part.upper)
 
 
 def robot(of, item):
@@ -487,39 +511,39 @@ def robot(of, item):
     its points r = (x, y, z, 1). By d'Alembert's principle, the force of joint j is sum_i tr(dT_i/dq_j S_i (d2T_i/dt2 -
     gravity)').
     """
-    q, T, frames, last = of.symbols[item.position], unit(4, ZERO, ONE), [], [ZERO, ZERO, ZERO, ONE]
-    moving = {x for x in [*q, *of.sure_rate(q)] if x.name == "symbol" and of.kind(x) == "state"}
-    need(len(moving) == 2 * len(q), "positions and speeds of the robot: expected states", Refuted)
+    q, T, frames = of.symbols[item.position], unit(4, ZERO, ONE), []
+    speeds = of.sure_rate(q)
+    states = {x for x in q + speeds if of.kind(x) == "state"}
+    need(len(states) == 2 * len(q), "positions and speeds of the robot: expected states", Refuted)
     for joint, x in zip(item.joints, q, strict=True):
-        still = of.kinds_in([*joint.axis, *joint.body, *item.rotors, *item.gravity])
+        still = of.kinds_in([*joint.axis, *flat(joint.body), *item.rotors, *item.gravity])
         still |= {of.kind(node) for node in symbols(joint.place) - {x}}
         need(still <= {"constant"}, "a joint, a body or gravity that moves by itself")
-        A, (a, b, c) = [*matrix(joint.place, 3), last], joint.axis
+        A, (a, b, c) = [*matrix(joint.place, 3), [ZERO, ZERO, ZERO, ONE]], joint.axis
         first, second, third = (row[:3] for row in A[:3])
         norms = [dot(u, u) - ONE for u in (first, second, joint.axis)]
         cross = [first[k - 2] * second[k - 1] - first[k - 1] * second[k - 2] for k in range(3)]
         yield "a joint's rotation and axis", [*norms, dot(first, second), *minus(cross, third)]
-        K = [[ZERO, ZERO - c, b, ZERO], [c, ZERO, ZERO - a, ZERO], [ZERO - b, a, ZERO, ZERO]]
+        K = [[ZERO, ZERO - c, b, ZERO], [c, ZERO, ZERO - a, ZERO], [ZERO - b, a, ZERO, ZERO], [ZERO] * 4]
         if joint.kind == "prismatic":
-            K = [[ZERO, ZERO, ZERO, u] for u in joint.axis]
-        moved = flat(product(A[:3], [*K, [ZERO] * 4]))
-        yield "a joint's motion", minus(slopes(flat(A[:3]), x), moved)
+            K = [[ZERO, ZERO, ZERO, u] for u in [*joint.axis, ZERO]]
+        yield "a joint's motion", minus(slopes(flat(A), x), flat(product(A, K)))
         T = product(T, A)
-        frames.append(flat(T[:3]))
-    falls = flat([ZERO, ZERO, ZERO, g] for g in item.gravity)
+        frames.append(flat(T))
+    falls = flat([ZERO, ZERO, ZERO, g] for g in [*item.gravity, ZERO])
     accelerations = [minus(of.sure_rate(of.sure_rate(T)), falls) for T in frames]
-    for x, ddx, rotor, torque in zip(q, of.sure_rate(of.sure_rate(q)), item.rotors, item.torque, strict=True):
+    for x, ddx, rotor, torque in zip(q, of.sure_rate(speeds), item.rotors, item.torque, strict=True):
         force = rotor * ddx - torque
         for joint, T, acceleration in zip(item.joints, frames, accelerations):
             slope = slopes(T, x)
-            momentum = product([slope[k : k + 4] for k in (0, 4, 8)], pseudo_inertia(joint))
-            force += dot(flat(momentum), acceleration)
+            momentum = product([slope[k : k + 4] for k in (0, 4, 8)], joint.body)
+            force += dot(flat(momentum), acceleration[:12])
         yield "the robot's equation of motion", [force]
 
 
-def pseudo_inertia(joint):
-    """S from its elements on and below the diagonal, row by row."""
-    return [[joint.body[max(i, k) * (max(i, k) + 1) // 2 + min(i, k)] for k in range(4)] for i in range(4)]
+def slopes(nodes, symbol):
+    """Derivatives by one symbol."""
+    return rates(nodes, lambda node: ONE if node is symbol else ZERO, {})
 
 
 # ---- The identity ----------------------------------------------------------------------------------------------------
@@ -543,20 +567,19 @@ def complexity(nodes, fixed):
 
     The size of a node bounds degree and log2 of the sum of coefficients, of its numerator and of its denominator.
     """
-    sizes, total, arguments = {}, 0, set()
+    sizes, divisors, arguments = {}, 0, set()
     for node in below(nodes):
-        if node.name in ARITHMETIC or node.name == "inv":
-            sizes[node] = sum(sizes[x] for x in node.of) + 1
-            need(sizes[node] < 1 << max(SIZES), "the degree of an expression is too high")
-            total += 2 * sizes[node] * (node.name == "inv")
-        elif node.name == "number" or node in fixed:
-            value = fixed.get(node, node.value)
+        value = fixed.get(node, node.value)
+        if isinstance(value, Fraction):
             sizes[node] = max(value.numerator.bit_length(), value.denominator.bit_length())
+        elif node.name in ARITHMETIC or node.name == "inv":
+            sizes[node] = min(sum(sizes[x] for x in node.of) + 1, 1 << max(SIZES))
+            divisors += sizes[node] * (node.name == "inv")
         else:
             sizes[node] = 2 if node.name in ("sin", "cos") else 1
             arguments.update(node.of)
-    total += len(arguments) ** 2 * (4 * max((sizes[x] for x in arguments), default=0) + 4)
-    return total + 2 * max(sizes.values())
+    largest = max((sizes[x] for x in arguments), default=0)
+    return 2 * max(sizes.values()) + 2 * divisors + len(arguments) ** 2 * (4 * largest + 4)
 
 
 def random_prime(bits):
@@ -572,84 +595,61 @@ def identity(of):
     at a random point with a probability of at most 8 (D + H) / 2^bits, where D and H bound its degree and coefficients.
     """
     found = equalities(of)
-    nodes = flat([*(own for _, own in found), *of.vectors, of.divided])
+    nodes = flat([*(own for _, own in found), *of.vectors, of.divisors])
     error = log2(complexity(nodes, of.fixed)) + 3
     bits = next((bits for bits in SIZES if error - bits < -64), None)
     need(bits is not None, f"the degree of the identity is too high: 8 (D + H) is 2^{error:.0f}")
     points = ceil(WANTED / (error - bits))
     for _ in range(points):
         field = Field(random_prime(bits))
-        values = {node: field.number(value) for node, value in of.fixed.items()}
+        values = field.residues(of.fixed)
         evaluate(nodes, field, values)
         for name, own in found:
             need(any(values[node] for node in own) == (name == "V"), f"{name} does not hold", Refuted)
-    evaluate(of.divided, field, with_numbers(of, field))  # no divisor vanishes with the file's numbers
+    evaluate(of.divisors, field, field.residues(of.exact))  # no divisor vanishes with the file's numbers
     return points * (error - bits), points
 
 
-def with_numbers(of, field):
-    """Values of constants whose interval is one number."""
-    return {x: field.number(i.lower) for x, i in of.numbers.items() if i.lower == i.upper}
-
-
 # ---- Signs and conditions --------------------------------------------------------------------------------------------
-class Signs:
-    """Signs over the intervals of constants, and of states in boxes. `assumed` collects what they do not show, `strict`
-    contains the terms with a positive weight.
+def signs(of):
+    """Checks that no term is negative: so is a weight, and a projection moves estimates towards all points of its box.
+
+    Conclusions are drawn from terms with a positive weight alone.
     """
-
-    def __init__(self, of):
-        self.of, self.known, self.assumed, self.strict = of, dict(of.numbers), [], []
-        for term in of.terms:
-            if term.role != "residual":
-                self.term(term)
-        for item in of.robots:
-            bodies = [self.sign(flat(pseudo_inertia(joint)), 4) for joint in item.joints]
-            need(min(bodies) == 1 and self.sign(item.rotors) >= 0, "a body of the robot: its inertia", Refuted)
-        for item in of.conditions:
-            if not item.margin or self.intervals(item.margin) is None:
-                self.assumed.append(f"condition: {item.name}")
-            else:
-                need(self.sign(item.margin) >= item.strict, f"condition: {item.name}", Refuted)
-
-    def intervals(self, nodes):
-        """Intervals of nodes; None if they depend on more than these, or on a function."""
-        try:
-            return evaluate(nodes, Interval.call, dict(self.known))
-        except ArithmeticError:
-            return None
-
-    def sign(self, nodes, size=0):
-        """1 if all elements, or a matrix, are positive, 0 if none is negative, -1 otherwise or if not decided."""
-        is_matrix = size > 1 and len(nodes) == size * size
-        values = self.intervals(pivots(matrix(symmetric(nodes, size), size)) if is_matrix else nodes)
-        least = -1 if values is None else min((x.lower for x in values), default=1)
-        return (least > 0) - (least < 0)
-
-    def term(self, term):
-        """The term is not negative: so is a weight, and a projection moves estimates towards all points of its box."""
-        part, sign = term.parts, self.sign(term.parts.weight, len(term.parts.vector) * (term.rule == "square"))
-        if term.assumed and self.intervals(part.weight) is None:
-            self.assumed.append(f"{term.name}: its weight is uniformly positive: {term.assumed}")
-            sign = 1
-        scaled = "scale" not in vars(part) or self.sign(part.scale) == 1
-        need(sign >= 0 and scaled, f"{term.name}: the sign of its weight or scale is wrong, or not shown", Refuted)
-        self.strict += [term] * (sign == 1)
+    for term in of.terms:
+        part, residual, W = term.parts, term.role == "residual", term.parts.weight
+        n = len(part.vector) if term.rule == "square" else 1
+        sign, decided = of.sign(W, n), of.decided(W)
+        if term.assumed and len(decided) < len(W) and not residual:
+            of.listed.append(f"{term.name}: its weight is uniformly positive: {term.assumed}")
+            sign = of.sign(of.decided(W[:: n + 1]) if len(W) == n * n else decided)
+            need(sign == 1, f"{term.name}: its weight is not positive", Refuted)
+        term.positive = sign == 1 and not residual
+        fits = sign >= 0 and ("scale" not in vars(part) or of.sign(part.scale) == 1)
+        need(fits or residual, f"{term.name}: the sign of its weight or scale is wrong, or not shown", Refuted)
         if term.rule == "projected":
-            self.box(term)
+            box(of, term.name, part)
+    for item in of.robots:
+        bodies = [of.sign(flat(joint.body), 4) for joint in item.joints]
+        need(min(bodies) == 1 and of.sign(item.rotors) >= 0, "a body of the robot: its inertia", Refuted)
+    for item in of.conditions:
+        decided, text = of.decided(item.margin or []), f"condition: {item.name}"
+        of.listed += [text] * (not item.margin or len(decided) < len(item.margin))
+        need(of.sign(decided) >= item.strict, text, Refuted)
 
-    def box(self, term):
-        part, known = term.parts, self.intervals(term.parts.true) is not None
-        room = [minus(part.true, part.lower), minus(part.upper, part.true)] * known
-        self.assumed += [f"{term.name}: its true value is inside its box"] * (not known)
-        signs = [self.sign(x) for x in (minus(part.upper, part.lower), *room)]
-        need(min(signs) >= 0, f"{term.name}: its box is empty, or its true value is not inside", Refuted)
-        if self.of.samples:
-            return
-        self.assumed.append(f"{term.name}: it starts in its box, and its law is this projection")
-        for x, low, high in zip(part.vector, self.intervals(part.lower), self.intervals(part.upper), strict=True):
-            need(x not in self.known, f"{term.name}: two boxes")
-            self.known[x] = Interval(low.lower, high.upper)
+
+def box(of, name, part):
+    room = minus(part.true, part.lower) + minus(part.upper, part.true)
+    if len(of.decided(part.true)) < len(part.true):
+        of.listed.append(f"{name}: its true value is inside its box")
+        room = of.decided(room)
+    fits = of.sign(minus(part.upper, part.lower)) >= 0 and of.sign(room) >= 0
+    need(fits, f"{name}: its box is empty, or its true value is not inside", Refuted)
+    if not of.samples:
+        of.listed.append(f"{name}: it starts in its box, and its law is this projection")
+        need(not of.known.keys() & {*part.vector}, f"{name}: two boxes")
+        ends = [evaluate(nodes, interval, dict(of.known)) for nodes in (part.lower, part.upper)]
+        of.known |= {x: (low[0], high[1]) for x, low, high in zip(part.vector, *ends, strict=True)}
 
 
 # ---- Conclusions -----------------------------------------------------------------------------------------------------
@@ -669,59 +669,57 @@ def restricted(basis, slopes, p):
 class Conclusions:
     """Bounded and vanishing signals, if V does not increase and given signals, with their rates, are bounded.
 
-    A direction of the space of states and time is open if no bounded signal determines it. With all bounded functions
-    frozen, a signal that does not change along a random open direction is bounded; a bounded signal that changes at a
-    constant rate closes a direction. `loose` are corrections that may be unbounded. Constants have the file's numbers.
+    A direction of the space of states, corrections and time is open if no bounded signal determines it. With all
+    bounded functions frozen, a signal that does not change along a random open direction is bounded; a bounded signal
+    that changes at a constant rate closes a direction. Constants have the file's numbers.
     """
 
-    def __init__(self, of, signs):
-        self.of, self.signs, self.p, self.points, self.gone = of, signs, random_prime(SIZES[1]), [], []
+    def __init__(self, of):
+        self.of, self.p, self.points, self.gone = of, random_prime(SIZES[1]), [], []
         field, elements = Field(self.p), flat(of.symbols.values())
-        self.columns = [x for x in elements if of.kind(x) in ("state", "time")]
+        self.columns = [x for x in elements if of.kind(x) in ("state", "time", "correction")]
         need(len(self.columns) <= WIDEST, "too many states")
-        self.loose = {x for x in elements if of.kind(x) == "correction"}
-        self.given = {x: field.random(x) for x in elements if of.kind(x) == "constant"} | with_numbers(of, field)
+        self.given = {x: field.random(x) for x in elements if of.kind(x) == "constant"} | field.residues(of.exact)
         self.places = [(Field(self.p, frozen=True), dict(self.given)) for _ in range(2)]
-        self.squares = flat(x.parts.vector for x in signs.strict if (x.role, x.rule) == ("dissipated", "square"))
-        self.wanted = [x for x in of.conclusions if x.vector]
+        positive = [x for x in of.terms if x.positive]
+        self.squares = flat(x.parts.vector for x in positive if (x.role, x.rule) == ("dissipated", "square"))
+        self.bounds = [([], x.parts.vector) for x in positive if x.role == "stored"]
         self.limits, self.open = [], unit(len(self.columns))
         self.premises()
-        while sum([self.bounded(x) and not self.bounded(y) and self.close(y) for x, y in self.bounds]):
+        self.wanted = [x for x in of.conclusions if x.vector]
+        self.wanted += [SimpleNamespace(says="", premise=x, vector=y, assumed=z) for x, y, z in self.limits]
+        while any(self.bounded(x) and not self.bounded(y) and self.close(y) for x, y in self.bounds):
             pass
-        ends = [x.vector for x in self.wanted if x.says == "goes to zero"] + [nodes for _, nodes, _ in self.limits]
-        self.count = 4 + sum(map(len, ends))
+        self.count = 4 + sum(len(x.vector) for x in self.wanted if x.says in ("goes to zero", ""))
         need(self.count <= WIDEST, "too many vanishing signals")
         self.basis = unit(self.count)
 
     def premises(self):
         """Where the first signals of `bounds` are bounded, the second are; where those of `limits` vanish, too."""
-        of, projected = self.of, [x.parts for x in self.of.terms if x.rule == "projected"]
-        boxed = {node for x in projected for node in x.vector}
-        moving = [x for x in self.columns if x in of.rates and x not in boxed]
+        of = self.of
+        estimates = {x for term in of.terms if term.rule == "projected" for x in term.parts.vector}
+        moving = [x for x in self.columns if x in of.rates and x not in estimates]
         steady = unit(len(moving))  # combinations of states whose rate is identically zero
         for row in self.sampled([of.rates[x] for x in moving], len(moving) + 3):
             steady = restricted(steady, [[dot(u, row) % self.p] for u in steady], self.p) if moving else []
-        self.bounds = [([], x.vector) for x in projected] + [([], [dot(map(number, u), moving)]) for u in steady]
-        self.bounds += [(nominal(of, x), x.correction) for x in projected]
-        for term in of.terms:
-            part = term.parts
-            if term.role == "stored" and term in self.signs.strict:
-                self.bounds.append(([], part.vector))
-            if term.rule == "potential":  # a / sqrt(1 + (a / v)^2) has the zeros of a
-                self.limits.append((over(part.vector, roots(part)), part.vector, ""))
+        self.bounds += [([], [dot(map(number, u), moving)]) for u in steady]
+        for part, rule in ((term.parts, term.rule) for term in of.terms):
+            if rule == "projected":
+                self.bounds += [([], part.vector), (nominal(of, part), part.correction)]
+            if rule == "potential":  # a / sqrt(1 + (a / v)^2) has the zeros of a
+                self.limits.append((over(part.vector, roots(part)), part.vector, []))
         for item in of.stable:  # W dz/dt = - L z + force
-            z, rate = item.vector, of.rate(item.vector)
-            stable = self.signs.sign(item.weight, len(z)) == self.signs.sign(item.loss, len(z)) == 1
-            if stable and of.kinds_in(item.weight) <= {"constant"} and None not in rate:
-                force = plus(weighted(symmetric(item.weight, len(z)), rate), weighted(item.loss, z))
+            z, rate, W = item.vector, of.rate(item.vector), symmetric(item.weight, len(item.vector))
+            stable = of.sign(item.weight, len(z)) == of.sign(item.loss, len(z)) == 1
+            if stable and of.kinds_in(W) <= {"constant"} and None not in rate:
+                force = plus(weighted(W, rate), weighted(item.loss, z))
                 self.bounds.append((force, z))
-                self.limits.append((force, z, ""))
+                self.limits.append((force, z, []))
         for item in of.ranks:
             R = matrix(item.matrix, len(item.vector))
-            values = matrix(self.sampled(item.matrix, 1)[0], len(R))
-            if not restricted(unit(len(R)), values, self.p):
+            if not restricted(unit(len(R)), matrix(self.sampled(item.matrix, 1)[0], len(R)), self.p):
                 forces = flat(product([item.vector], R))
-                self.limits.append((forces, item.vector, f"{item.name} keeps full row rank, uniformly"))
+                self.limits.append((forces, item.vector, [f"{item.name} keeps full row rank, uniformly"]))
 
     def along(self, nodes, place, u):
         """Changes of nodes along u, with the bounded functions of a place."""
@@ -733,16 +731,15 @@ class Conclusions:
     def bounded(self, nodes):
         weights = [secrets.randbelow(self.p) for _ in self.open]
         u = [dot(weights, column) % self.p for column in zip(*self.open)] if weights else [0] * len(self.columns)
-        return None not in nodes and not symbols(nodes) & self.loose and not any(self.along(nodes, 0, u))
+        return None not in nodes and not any(self.along(nodes, 0, u))
 
     def close(self, nodes):
         """Closes directions along which bounded signals change at a constant rate; True if there was one."""
         one, other = ([self.along(nodes, k, u) for u in self.open] for k in (0, 1))
         steady = [k for k in range(len(nodes)) if all(a[k] == b[k] for a, b in zip(one, other, strict=True))]
-        before = len(self.open) + len(self.loose)
+        before = len(self.open)
         self.open = restricted(self.open, [[row[k] for k in steady] for row in one], self.p)
-        self.loose -= {*nodes}
-        return len(self.open) + len(self.loose) < before
+        return len(self.open) < before
 
     def sampled(self, nodes, count):
         """Values at random points, with the file's constants."""
@@ -769,6 +766,8 @@ class Conclusions:
         (Barbalat's lemma), if it is the derivative of a vanishing signal and its own derivative is bounded, or if
         vanishing signals make it.
         """
+        if item.says == "":
+            return self.vanish(item.premise) and not self.vanish(item.vector)
         nodes, says, integrable = item.vector, item.says, self.among(item.vector, self.squares)
         if says != "goes to zero":
             return (says == "is square-integrable" and integrable) or (says == "is bounded" and self.bounded(nodes))
@@ -778,47 +777,38 @@ class Conclusions:
     def check(self):
         """The conclusions of the file that follow."""
         shown = []
-        while True:
-            new = [x for x in self.wanted if x not in shown and self.follows(x)]
-            used = [x for x in self.limits if self.vanish(x[0]) and not self.vanish(x[1])]
-            for nodes in [x.vector for x in new if x.says == "goes to zero"] + [nodes for _, nodes, _ in used]:
-                self.gone += nodes
-                self.basis = restricted(self.basis, self.products(nodes), self.p)
-            self.signs.assumed += [text for *_, text in used if text]
+        while new := [x for x in self.wanted if x not in shown and self.follows(x)]:
+            for item in new:
+                if item.says in ("goes to zero", ""):
+                    self.gone += item.vector
+                    self.basis = restricted(self.basis, self.products(item.vector), self.p)
+            self.of.listed += [text for item in new if item.says == "" for text in item.assumed]
             shown += new
-            if not new + used:
-                return [f"{item.signal} {item.says}" for item in shown]
+        return [f"{item.signal} {item.says}" for item in shown if item.says]
 
 
-def with_residual(of, strict):
+def with_residual(of):
     """What holds for any residual: all that is dissipated is in sum at most V at the start and the residual."""
     yield "V does not rise where the residual is zero"
-    for term in strict:
-        if term.role == "dissipated" and term.rule == "square":
-            yield f"{term.name} is {'summable' if of.samples else 'integrable'} where the residual is"
-    for label, nodes in of.symbols.items() if of.samples else ():
-        if nodes and all(clipped(of, of.rates.get(x, ZERO)) for x in nodes):
-            yield f"{label} is bounded"
-
-
-def clipped(of, node):
-    """True for fmin(fmax(z, lower), upper) with constants."""
-    inner, *upper = node.of if node.name == "fmin" else [ZERO]
-    return inner.name == "fmax" and of.kinds_in([inner.of[1], *upper]) <= {"constant"}
+    squares = [x for x in of.terms if (x.role, x.rule) == ("dissipated", "square")]
+    for name in dict.fromkeys(x.name for x in squares):
+        if all(x.positive for x in squares if x.name == name):
+            yield f"{name} is {'summable' if of.samples else 'integrable'} where the residual is"
+    boxes = [term.parts for term in of.terms if term.rule == "projected" and of.samples]
+    inside = {x for part in boxes if of.kinds_in(part.lower + part.upper) <= {"constant"} for x in clipped(part)}
+    yield from (f"{label} is bounded" for label, nodes in of.symbols.items() if {*map(of.rates.get, nodes)} <= inside)
 
 
 # ---- The result ------------------------------------------------------------------------------------------------------
 def proved(of):
-    (error, points), signs = identity(of), Signs(of)
-    if of.samples or any(term.role == "residual" for term in of.terms):
-        shown = list(dict.fromkeys(with_residual(of, signs.strict)))
-    else:
-        shown = Conclusions(of, signs).check()
+    error, points = identity(of)
+    signs(of)
+    residual = of.samples or any(term.role == "residual" for term in of.terms)
+    shown = list(dict.fromkeys(with_residual(of))) if residual else Conclusions(of).check()
     given, still = ([x for x, kind in of.kinds.items() if kind == own] for own in ("given", "constant"))
-    exact = {x for x, ends in of.numbers.items() if ends.lower == ends.upper}
-    some = [label for label in still if not exact >= {*of.symbols[label]}]
-    lists = {"constant": still, "bounded": given, "conclusions are for almost all values of": some}
-    texts = [f"{text}: {', '.join(x)}" for text, x in lists.items() if x and (text == "constant" or not of.samples)]
+    some = [label for label in still if not of.exact.keys() >= {*of.symbols[label]}]
+    lists = {"bounded": given, "conclusions are for almost all values of": some} if not of.samples else {}
+    texts = [f"{text}: {', '.join(x)}" for text, x in {"constant": still, **lists}.items() if x]
     chain = "{}: a chain of {} rigid bodies, whose acceleration follows from a torque of {}"
     reads = [", ".join(sorted({x.value[0] for x in symbols(item.torque)})) for item in of.robots]
     return {
@@ -830,7 +820,7 @@ def proved(of):
         "only_at_exact_values_of": sorted({node.value[0] for node in of.fixed}),
         "conclusions": shown,
         "not_checked": [x for x in of.stated if x not in shown],
-        "assumed": [*ASSUMED, *texts, *dict.fromkeys(signs.assumed), *of.assumed],
+        "assumed": [*ASSUMED, *texts, *dict.fromkeys(of.listed), *of.assumed],
     }
 
 
@@ -838,10 +828,10 @@ def check(data: object) -> dict:
     """Result of the check of a parsed file; `status` is re-proved, refuted or refused, the latter two with a reason."""
     try:
         return proved(Certificate(data))
-    except Refuted as error:
-        return {"status": "refuted", "reason": str(error)}
-    except (Exception, RecursionError) as error:
-        return {"status": "refused", "reason": f"{type(error).__name__}: {error}"}
+    except (Refuted, Refused) as error:
+        return {"status": type(error).__name__.lower(), "reason": str(error)}
+    except Exception as error:  # of data that have another form
+        return {"status": "refused", "reason": f"no valid certificate: {type(error).__name__}: {error}"}
 
 
 def unique(pairs):
@@ -849,24 +839,37 @@ def unique(pairs):
     return dict(pairs)
 
 
+def not_whole(text):
+    raise Refused(f"{text:.40} is not written as a whole number")
+
+
+def checked(path):
+    """Result of the check of a file."""
+    try:
+        with open(path, "rb") as file:
+            content = file.read(LONGEST)
+        need(content, "it is empty")
+        need(len(content) < LONGEST, "it is too long")
+        options = {"object_pairs_hook": unique, "parse_float": not_whole, "parse_constant": not_whole}
+        return check(json.loads(content.decode(), **options))
+    except Exception as error:  # of a file that is no JSON
+        return {"status": "refused", "reason": f"cannot read the file: {error}"}
+
+
 def main(arguments):
     paths = [x for x in arguments if x != "--json"]
+    usage = {"status": "refused", "reason": "usage: python check.py FILE [--json]"}
+    result = checked(paths[0]) if len(paths) == 1 else usage
+    status, lines = {"re-proved": 0, "refuted": 1, "refused": 2}[result["status"]], [json.dumps(result, indent=1)]
+    if "--json" not in arguments:
+        texts = [[f"\n  {x}" for x in own] if isinstance(own, list) else [f" {own}"] for own in result.values()]
+        lines = [f"{key.replace('_', ' ')}:{''.join(own)}" for key, own in zip(result, texts)]
     try:
-        need(len(paths) == 1, "usage: python check.py FILE [--json]")
-        with open(paths[0], "rb") as file:
-            content = file.read(LONGEST)
-        need(len(content) < LONGEST, "the file is too long")
-        result = check(json.loads(content.decode(), object_pairs_hook=unique, parse_constant=rational))
-    except Exception as error:  # of a file that is no certificate
-        result = {"status": "refused", "reason": f"{type(error).__name__}: {error}"}
-    sys.stdout.reconfigure(errors="backslashreplace")
-    if "--json" in arguments:
-        print(json.dumps(result, indent=1))
-    else:
-        for name, value in result.items():
-            lines = ["", *value] if isinstance(value, list) else [f" {value}"]
-            print(f"{name.replace('_', ' ')}:" + "\n  ".join(map(str, lines)))
-    return {"re-proved": 0, "refuted": 1, "refused": 2}[result["status"]]
+        print("\n".join(lines).encode("ascii", "backslashreplace").decode(), flush=True)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return status if isinstance(error, BrokenPipeError) else 2  # a program such as head closes its pipe
+    return status
 
 
 if __name__ == "__main__":

@@ -189,6 +189,9 @@ def verify(
     disturbance: Annotated[
         str, typer.Option(metavar="TORQUE", help="Disturbance torque of bounds, such as 5 N m; one, or one per joint.")
     ] = "0 N m",
+    clock: Annotated[
+        bool, typer.Option("--clock", help="Look for sampling intervals up to which the loop is proved on its clock.")
+    ] = False,
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
     fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported
         bool, typer.Option("--fresh", help="Prove again, even if a verdict for the same inputs is remembered.")
@@ -206,7 +209,16 @@ def verify(
     number = whole("--seed", seed)
     files = {"claim": claim, "certificate": certificate}
     bounds = {"over": over, "disturbance": disturbance}
-    return verify_graphs(found, report=report, files=files, replay=replay, seed=number, bounds=bounds, as_json=as_json)
+    return verify_graphs(
+        found,
+        report=report,
+        files=files,
+        replay=replay,
+        seed=number,
+        bounds=bounds,
+        clock=clock,
+        as_json=as_json,
+    )
 
 
 @app.command()

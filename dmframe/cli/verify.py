@@ -33,12 +33,13 @@ def verify_graphs(
     replay: Sequence[str],
     seed: int,
     bounds: Mapping[str, str],
+    clock: bool,
     as_json: bool,
 ) -> int:
     """Verify graphs one after another; returns the exit status.
 
     `replay` is the command line; `files` are the paths of the claim and the certificate of a single graph, and `bounds`
-    the time and the torque of the bounds, by option.
+    the time and the torque of the bounds, by option; with `clock` they are also proved on their clocks.
     """
     if report is not None:
         from dmframe.report.write import check_place
@@ -53,7 +54,8 @@ def verify_graphs(
         _ = graph.diagram
     labels = labels_of([(graph.name, graph) for graph in graphs])
     found = [
-        replace(graph.verify(seed=seed, **bounds), label=label) for graph, label in zip(graphs, labels, strict=True)
+        replace(graph.verify(seed=seed, clock=clock, **bounds), label=label)
+        for graph, label in zip(graphs, labels, strict=True)
     ]
     status = 0 if all(each.proved for each in found) else NOT_PROVED
     proved_at = datetime.now(UTC).isoformat(timespec="seconds")

@@ -124,10 +124,24 @@ class Line:
         return f"  {number} {sine}, {cosine};\n  {dialect.sincos}({operands[0]}, &{sine}, &{cosine});"
 
 
-def written(f: Any, dialect: Dialect = ONE) -> str:
+UNITS: Final = """\
+#ifdef DM_UNITS
+#define DM_PIECE __attribute__((noinline, visibility("hidden")))
+#define DM_HERE(k) ((k) % DM_UNITS == DM_UNIT)
+#else
+#define DM_UNIT 0
+#define DM_PIECE static __attribute__((noinline))
+#define DM_HERE(k) 1
+#endif
+"""
+"""Macros of a source whose pieces are compiled in parallel: its unit DM_UNIT of DM_UNITS, or all of it."""
+
+
+def written(f: Any, dialect: Dialect = ONE, *, units: bool = False) -> str:
     """An SX function as C: ``static void dm_name(a0, a1, ..., r0, ...)``; a long one calls its pieces in turn.
 
-    A result may alias an argument: all arguments are read before results are stored.
+    A result may alias an argument: all arguments are read before results are stored. With `units` each piece belongs to
+    a unit of the source, see `UNITS`.
     """
     lines, results = _lines(f, dialect)
     number = dialect.number
@@ -140,15 +154,15 @@ def written(f: Any, dialect: Dialect = ONE) -> str:
         return "\n".join([head, *body, "}"])
     pieces = [lines[first : first + PIECE] for first in range(0, len(lines), PIECE)]
     carried = _carried(pieces, results)
-    own = f"dm_{f.name()}_piece"
+    own, specifier = f"dm_{f.name()}_piece", "DM_PIECE" if units else "static __attribute__((noinline))"
     given = ", ".join([*(f"a{i}" for i in range(f.n_in())), "h"])
     body = [f"  {number} h[{len(carried) + 1}];", *(f"  {own}{k}({given});" for k in range(len(pieces)))]
     body += [f"  {place} = {carried.get(value, value)};" for place, value in results.items()]
-    cut = [
-        text
-        for k, piece in enumerate(pieces)
-        for text in _piece(f"{own}{k}({', '.join([*arguments, f'{number} *h'])})", piece, carried, dialect)
-    ]
+    cut = list[str]()
+    for k, piece in enumerate(pieces):
+        title = f"{specifier} void {own}{k}({', '.join([*arguments, f'{number} *h'])})"
+        text = [f"{title} {{", *_piece(piece, carried, dialect), "}"]
+        cut += [f"#if DM_HERE({k})", *text, "#else", f"{title};", "#endif"] if units else text
     return "\n".join([*cut, head, *body, "}"])
 
 
@@ -193,13 +207,11 @@ def _carried(pieces: Sequence[Sequence[Line]], results: Mapping[str, str]) -> di
     return {value: f"h[{place}]" for place, value in enumerate(dict.fromkeys(read))}
 
 
-def _piece(head: str, lines: Sequence[Line], carried: Mapping[str, str], dialect: Dialect) -> Iterator[str]:
+def _piece(lines: Sequence[Line], carried: Mapping[str, str], dialect: Dialect) -> Iterator[str]:
     own = {target for line in lines for target in line.targets}
-    yield f"static __attribute__((noinline)) void {head} {{"
     for line in lines:
         yield line.text(dialect, lambda operand: operand if operand in own else carried.get(operand, operand))
         yield from (f"  {carried[target]} = {target};" for target in line.targets if target in carried)
-    yield "}"
 
 
 def _constant(value: float) -> str:

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import casadi as ca
 
-from dmframe.codegen.function import ONE, SIMD, Dialect, written
+from dmframe.codegen.function import ONE, SIMD, UNITS, Dialect, written
 from dmframe.diagram.parts import Parts, split
 from dmframe.diagram.rosenbrock import ROS34PW2, Rosenbrock
 
@@ -78,9 +78,13 @@ def _assembled(
             *map(shipped, dialect.arithmetic),
             *(f"#define DM_{name} {size}" for name, size in sizes.items()),
             '#define DM_EXPORT __attribute__((visibility("default")))',
+            UNITS,
             *numbers,
-            *(written(f, dialect) for f in functions),
+            *(written(f, dialect, units=True) for f in functions),
+            "#if DM_UNIT == 0",
             *map(shipped, frames),
+            "#endif",
+            "",
         ]
     )
 

@@ -13,6 +13,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final, Generic, Protocol, TypeVar, final
 
+from dmframe.common.cores import cores
+
 T = TypeVar("T")
 
 
@@ -155,7 +157,7 @@ def shared(
 def _cores() -> int:
     """Number of cores for forks; 1 if a fork is not safe."""
     alone = threading.active_count() == 1  # a fork keeps the locks of threads that it does not have
-    return len(os.sched_getaffinity(0)) if alone and sys.platform == "linux" else 1
+    return cores() if alone and sys.platform == "linux" else 1
 
 
 @final

@@ -179,6 +179,12 @@ def rounded_up(value: float, digits: int = 3) -> float:
     return math.ceil(value / step) * step
 
 
+def rounded_down(value: float, digits: int = 3) -> float:
+    """The number with that many digits that is equal or next below; for positive values."""
+    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1) if value > 0 else 1.0
+    return math.floor(value / step) * step
+
+
 def rate_over(unit: str) -> str:
     """Unit of a rate over a quantity: ``1/(m s)`` for m, ``1/rad`` for rad/s."""
     powers = Counter[str]()

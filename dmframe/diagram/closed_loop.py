@@ -168,6 +168,11 @@ class ClosedLoop:
         moves = stack([self.rate, *(signal.expression for signal in self.outputs)])
         return "a block reads the sampling period" if ca.depends_on(moves, self.period) else ""
 
+    @property
+    def second_order(self) -> tuple[str, ...]:
+        """Labels of the controller's continuous states whose step on a clock has a term of second order."""
+        return tuple(v.label for v in self.controller if v.own_second is not None)
+
     @cached_property
     def w(self) -> SX:
         """Exogenous signals as one column: the trajectories and, for blocks that read it, the time."""

@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dmframe.build.compiler import FLAGS, SHARED, find_compiler, processor
+from dmframe.build.compiler import FLAGS, LONG, SHARED, find_compiler, processor
 from dmframe.catalogue import loaded_digest
 from dmframe.common.files import encoded
 from dmframe.common.seal import digest
@@ -125,7 +125,12 @@ def _engine(engine: str) -> dict[str, str]:
     compiler = find_compiler() if engine == "compiled" else None
     if compiler is None:
         return {"kind": engine, "machine": platform.machine()}
-    return {"kind": engine, "compiler": compiler.identity, "flags": repr((SHARED, FLAGS)), "processor": processor()}
+    return {
+        "kind": engine,
+        "compiler": compiler.identity,
+        "flags": repr((SHARED, FLAGS, LONG)),
+        "processor": processor(),
+    }
 
 
 def _installed(name: str) -> str:

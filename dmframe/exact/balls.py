@@ -187,6 +187,11 @@ def _power(a: arb, b: arb) -> arb:
     return (ZERO if (b / 2).is_integer() else -most).union(most)
 
 
+def _tanh(a: arb) -> arb:
+    """Arb's own for a narrow ball; of a wide one the values at its ends, between which it increases."""
+    return a.tanh() if a.rad() < 1 else a.lower().tanh().union(a.upper().tanh())
+
+
 def _copysign(a: arb, b: arb) -> arb:
     return abs(a) if b >= 0 else -abs(a) if b < 0 else UNDECIDED
 
@@ -198,12 +203,13 @@ def _atan2(y: arb, x: arb) -> arb:
 
 _TRUTHS: Final = COMPARISONS | by_code(dict.fromkeys(("not", "and", "or"))).keys()
 
-_OF_ARB: Final = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf".split()
+_OF_ARB: Final = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh asinh acosh atanh erf".split()
 
 RULES: Final = ARITHMETIC | by_code(
     {
         **{name: getattr(arb, name) for name in _OF_ARB},
         "sq": _square,
+        "tanh": _tanh,
         "pow": _power,
         "constpow": _power,
         "hypot": lambda a, b: (_square(a) + _square(b)).sqrt(),

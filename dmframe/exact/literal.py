@@ -45,6 +45,8 @@ def literal(value: float) -> Fraction:
     if len(text.lstrip("-").partition("e")[0].replace(".", "").strip("0")) <= WRITTEN_DIGITS:
         return Fraction(text)
     half = Fraction(math.ulp(value)) / 2
+    if abs(exact.limit_denominator(SMALL_DENOMINATOR) - exact) > half:  # the usual case, in a tenth of the time
+        return exact
     simple = simplest_between(exact - half, exact + half)
     return simple if simple.denominator <= SMALL_DENOMINATOR and float(simple) == value else exact
 

@@ -16,7 +16,9 @@ from dmframe.graph.doubts import doubts
 from dmframe.graph.progress import progress_line, shown
 
 if TYPE_CHECKING:
+    from dmframe.analysis.held_proof import ClockProof
     from dmframe.bounds.given import Torque
+    from dmframe.certify import Verdict
     from dmframe.drawing import Drawing
     from dmframe.drive import Rehearsal, Replay
     from dmframe.export import TargetFunction
@@ -120,7 +122,9 @@ class Graph(BaseGraph):
         with SYMBOLIC:
             return check_laws(self.diagram)
 
-    def verify(self, *, seed: int = 0, over: float | str = "60 s", disturbance: Torque = 0.0) -> Verification:
+    def verify(
+        self, *, seed: int = 0, over: float | str = "60 s", disturbance: Torque = 0.0, clock: bool = False
+    ) -> Verification:
         """Prove its Lyapunov derivative exactly for all values of its gains and parameters, or give the reason why not.
 
         Parameters
@@ -131,6 +135,8 @@ class Graph(BaseGraph):
             Length of the run for bounds on the tracking error [s].
         disturbance
             Bound on a disturbance torque, one for all joints or one for each [N m].
+        clock
+            Whether to look for sampling intervals up to which the loop is proved on a clock.
 
         Raises
         ------
@@ -147,7 +153,26 @@ class Graph(BaseGraph):
         with progress_line(self.name) as tell:
             tell("proving")
             verdict = self.verdict(seed=seed, copies=True, over=until, disturbance=torques)
-        return Verification(self, verdict, seed)
+            if clock:
+                tell("looking for sampling intervals")
+            sampling = self._on_its_clock(verdict, seed) if clock else None
+        return Verification(self, verdict, seed, sampling=sampling)
+
+    def _on_its_clock(self, verdict: Verdict, seed: int) -> ClockProof:
+        from dmframe.analysis.held_proof import prove_clock
+
+        claim = verdict.flow_claim if verdict.outcome == "proved" else None
+        kappa = 1.0 if verdict.kappa is None else float(verdict.kappa.chosen)
+        with self.placing(), SYMBOLIC:
+            return prove_clock(
+                self.diagram,
+                self.clock,
+                claim,
+                uncertain=self.intervals(),
+                kappa=kappa,
+                seed=seed,
+                start=self.start,
+            )
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:
         """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.

@@ -16,9 +16,11 @@ from dmframe.common.files import expanded
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.config.plausible import implausible
+from dmframe.report.clock_text import clock_text
 from dmframe.report.verdict_text import verdict_text
 
 if TYPE_CHECKING:
+    from dmframe.analysis.held_proof import ClockProof
     from dmframe.block.certificate import Assumption
     from dmframe.certify.checked import Checked
     from dmframe.certify.statements import Statement
@@ -46,12 +48,15 @@ class Verification(AboutGraph):
         Seed of the random points and primes.
     label
         Distinguishes several verifications of graphs with one name.
+    sampling
+        Proof on a clock, or None.
     """
 
     graph: BaseGraph
     verdict: Verdict
     seed: int = 0
     label: str = ""
+    sampling: ClockProof | None = None
 
     @property
     def name(self) -> str:
@@ -101,7 +106,8 @@ class Verification(AboutGraph):
     @property
     def summary(self) -> dict[str, Any]:
         """Data that ``dmframe verify --json`` prints."""
-        return {**summary(self.name, self.verdict), "notices": list(self.notices)}
+        more = {} if self.sampling is None else {"sampling": self.sampling.summary}
+        return {**summary(self.name, self.verdict), "notices": list(self.notices), **more}
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -136,10 +142,12 @@ class Verification(AboutGraph):
 
         with ca.global_pickle_context():  # margins are CasADi expressions
             verdict = pickle.dumps(self.verdict)
-        return _restored, (self.graph, verdict, self.seed, self.label)
+        return _restored, (self.graph, verdict, self.seed, self.label, self.sampling)
 
     def __str__(self) -> str:
         text = verdict_text(self.name, self.verdict, notices=self.notices)
+        if self.sampling is not None:
+            text = f"{text}\n{clock_text(self.sampling)}"
         return f"{text}\n  {self._advice}" if self._advice else text
 
     @property
@@ -190,10 +198,12 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
     return ["dmframe", "verify", *map(place, found), *options, "--seed", str(found[0].seed), "--report", path.name]
 
 
-def _restored(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
+def _restored(
+    graph: BaseGraph, verdict: bytes, seed: int, label: str, sampling: ClockProof | None = None
+) -> Verification:
     """Restore a pickled verification."""
     import casadi as ca
 
     with ca.global_unpickle_context():
         found = pickle.loads(verdict)
-    return Verification(graph, found, seed, label)
+    return Verification(graph, found, seed, label, sampling)

@@ -88,7 +88,7 @@ class SimulatedRobot:
                 diagram, duration, clock=clock, solver=solver or Solver(), log=Log(), seed=seed, jitter=jitter
             )
             state = start_state(diagram, start or {}, whole.starts, whole.step.instants)
-            self.solver = whole.stepping(state, loop.p_values, speed_of(diagram, whole.jacobian, state)).solver
+            self.solver = whole.stepping(state, loop.p_values, speed_of(diagram, whole.slope, state)).solver
             shown = _shown(diagram, fields)
             commands = stack(leaf.symbol for leaf in loop.commanded)
             if any(ca.depends_on(expression, commands) for expression in shown.values()):

@@ -46,7 +46,7 @@ _PARTS: Final = 1.5
 """Further factor if less than the whole run is compared, whose largest error may be between the parts."""
 
 _SHARE: Final = 0.3
-_FEW: Final = (1e8, 2e9)
+_FEW: Final = (1.5e7, 2e9)
 _MOST: Final = 3e9
 """Instructions of an estimate: a share of those of the run, but at least the first or the second number, for a run that
 `worth` leaves to the interpreter or compiles, and at most the last one."""
@@ -325,8 +325,9 @@ class Pilot:
         compared = self._comparison([Span(first, ticks, marks[first]) for first, ticks in parts])
         states = [found.states.get(label) for label in self.labels]
         recorded = [each for each in states if each is not None and len(each) == own.ticks + 1]
-        if len(parts) == 1 and parts[0] == (0, own.ticks) and len(recorded) == len(self.labels):
-            compared.paths[own.solver.method, own.step.substeps] = [np.hstack(recorded)]
+        if len(recorded) == len(self.labels):
+            path = np.hstack(recorded)
+            compared.paths[own.solver.method, own.step.substeps] = [path[k : k + ticks + 1] for k, ticks in parts]
         return found, compared
 
     def _comparison(self, parts: Sequence[Span]) -> Comparison:

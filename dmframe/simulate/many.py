@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, TypedDict, TypeVar, Unpack, overload
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.cores import cores
 from dmframe.common.errors import DmframeError, StartError, ValueFault
 from dmframe.common.units import plain
 from dmframe.diagram import Diagram
@@ -144,8 +144,3 @@ def chosen_for_all(prepared: Prepared, diagram: Diagram, start: Mapping[str, Any
         f"numbers, the estimated error of the joints is {found.estimate.error:.1g} {found.estimate.unit}"
     )
     return replace(prepared.solved_by(own), notices=(*prepared.notices, notice))
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

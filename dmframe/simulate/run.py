@@ -107,9 +107,9 @@ class Prepared:
     notices: tuple[str, ...] = ()
 
     @cached_property
-    def jacobian(self) -> Any:
-        """Jacobian of the plant's rate."""
-        return self.step.rate.jacobian()
+    def slope(self) -> Any:
+        """Derivative of the plant's rate in a direction; as an expression, a chain's whole Jacobian takes seconds."""
+        return self.step.rate.forward(1)
 
     def complete(
         self,
@@ -126,7 +126,7 @@ class Prepared:
         `shared` is the engine of a batch.
         """
         with SYMBOLIC:
-            speed = speed_of(diagram, self.jacobian, state) if self.solver.method in FIXED else 0.0
+            speed = speed_of(diagram, self.slope, state) if self.solver.method in FIXED else 0.0
             own = self.stepping(state, diagram.loop.p_values, speed)
             engine = own.engine(choice) if shared is None else own.sharing(shared, choice)
 

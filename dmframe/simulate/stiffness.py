@@ -26,11 +26,15 @@ MOST_SLOPE = 1e12
 
 
 def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
-    """Spectral radius of the plant's Jacobian at a state [1/s]; at rest the friction law is steepest."""
+    """Spectral radius of the plant's Jacobian at a state [1/s]; at rest the friction law is steepest.
+
+    `slope` is the derivative of its rate in a direction.
+    """
     size = stack(v.symbol for v in diagram.loop.flowing).numel()
     if not size:
         return 0.0
-    return float(fastest(slope(state, 0, diagram.loop.p_values, 0)[0].full()[None, :, -size:])[0])
+    columns = [slope(state, 0, diagram.loop.p_values, 0, row, 0, 0).full() for row in np.eye(state.size)[-size:]]
+    return float(fastest(np.hstack(columns)[None])[0])
 
 
 def fastest(jacobians: np.ndarray) -> np.ndarray:

@@ -134,7 +134,7 @@ def with_line_ends(old: str, new: str) -> str:
         for k in range(size):
             if i + k < len(ends) and j + k < len(found):
                 found[j + k] = ends[i + k]
-    for k in range(len(found) - 1):
+    for k in reversed(range(len(found) - 1)):
         if found[k] == "\r" and not after[k + 1] and found[k + 1] == "\n":  # together they would be one line end
             found[k] = "\n"
     mark = MARK if old.startswith(MARK) else ""

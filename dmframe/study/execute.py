@@ -14,9 +14,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from dmframe.common.cores import cores
 from dmframe.common.errors import DmframeError, OutputError, ValueFault
 from dmframe.common.files import append, encoded, put, writing
-from dmframe.simulate.many import cores
 from dmframe.study.chunks import WORK, Chunk, Extent, Sizes
 from dmframe.study.cluster import Cluster, WorkersLost, exposed
 from dmframe.study.executor import Computed, Executor, Failed, compute, versions

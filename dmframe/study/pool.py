@@ -20,8 +20,8 @@ from multiprocessing.connection import Connection, Pipe, wait
 from queue import SimpleQueue
 from typing import IO, Any, Final, final
 
+from dmframe.common.cores import cores
 from dmframe.common.errors import EngineError, visible
-from dmframe.simulate.many import cores
 from dmframe.study.chunks import Chunk
 from dmframe.study.executor import Answer, Computable, Executor, Failed, compute
 

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from dmframe.common.cores import cores
 from dmframe.common.errors import DmframeError, MissingError, ValueFault
 from dmframe.common.files import expanded
 from dmframe.common.units import plain
-from dmframe.simulate.many import cores
 from dmframe.study.candidate import Proofs, rounded, rows_of_runs, unstable, violation, with_tuned
 from dmframe.study.grammar import TuneSection, raise_placed
 from dmframe.study.objective import (

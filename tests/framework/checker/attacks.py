@@ -103,7 +103,7 @@ def holes() -> Iterator[Attack]:
     for _ in range(60):
         place = file.instruction("mul", place, place)
     file.condition(file.vector(place))
-    yield "14 a number of 2^60 digits", file.data, "open"
+    yield "14 a number of 2^60 digits", file.data, "refuted"
 
     data = circular(nominal="a")
     for term in data["terms"]:

@@ -165,6 +165,15 @@ def texts() -> Iterator[tuple[str, bytes]]:
     ):
         assert old in text
         yield f"{new:.40} in place of {old}", text.replace(old, new, 1).encode()
+    for what, content in {
+        "nothing": "",
+        "spaces": " \n ",
+        "a list": "[]",
+        "no JSON": "not json",
+        "half a file": text[:-9],
+    }.items():
+        yield what, content.encode()
+    yield "a number of 10000 digits", b"9" * 10_000
     yield "a byte that is no UTF-8", text.replace('"about": {}', '"about": {"g": "?"}').encode().replace(b"?", b"\xff")
     yield "a byte order mark", b"\xef\xbb\xbf" + text.encode()
     yield "UTF-16", text.encode("utf-16")

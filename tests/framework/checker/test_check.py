@@ -40,6 +40,7 @@ from tests.framework.checker.certificates import (
     text_of,
 )
 from tests.framework.checker.false_theorems import false_theorems
+from tests.framework.checker.hidden import hidden
 from tests.framework.checker.readings import equals, readings, texts
 from tests.framework.checker.written import circular, dominated, sampled, stable
 
@@ -136,13 +137,6 @@ def test_it_runs_without_the_framework_and_its_exit_status_is_the_outcome(tmp_pa
     assert (done.returncode, done.stderr) == (1, "")
     assert "does not hold" in done.stdout
 
-    for text in ("{}", "[]", "not json", "\x00", '{"format": "dmframe-certificate"}', "[" * 100_000, "9" * 10_000):
-        path.write_text(text)
-        done = run()
-        assert (done.returncode, done.stderr) == (2, ""), text[:30]
-    path.unlink()
-    assert run().returncode == 2
-
 
 def faults(data: dict[str, Any]) -> Iterator[tuple[str, Callable[[dict[str, Any]], None]]]:
     """Seeded faults of a certificate in continuous time, by name."""
@@ -230,6 +224,8 @@ def test_faults_over_samples_are_refuted(name: str) -> None:
 def allows(found: dict[str, Any], allowed: str) -> bool:
     """True if a result is one that an attack may have."""
     word, _, text = allowed.partition(" ")
+    if word == "unshown":
+        return found["status"] == "re-proved" and text not in found["conclusions"]
     if word in ("assumes", "robot"):
         return any(text in line for line in found.get({"assumes": "assumed"}.get(word, word), []))
     if found["status"] != "re-proved" or "re-proved" in allowed:
@@ -240,7 +236,7 @@ def allows(found: dict[str, Any], allowed: str) -> bool:
     return word == "w" and not shown and any(text.startswith("w ") for text in found["not_checked"])
 
 
-@pytest.mark.parametrize("attacks", [holes, more, false_theorems, readings])
+@pytest.mark.parametrize("attacks", [holes, more, false_theorems, readings, hidden])
 def test_a_file_that_states_more_than_is_true_is_not_accepted(attacks: Callable[[], Iterator[Attack]]) -> None:
     accepted = [(what, found) for what, data, allowed in attacks() if not allows(found := result(data), allowed)]
     assert accepted == []
@@ -259,7 +255,8 @@ def test_conclusions_use_a_prime_with_a_smaller_error_than_the_identity() -> Non
     """Hole 12: one prime of 149 bits has a larger error than the identity."""
     check = checker()
     of = check.Certificate(stable().data)
-    assert check.Conclusions(of, check.Signs(of)).p.bit_length() == 269
+    check.signs(of)
+    assert check.Conclusions(of).p.bit_length() == 269
 
 
 def test_texts_that_are_no_certificate_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -324,7 +321,7 @@ def test_the_equation_of_motion_agrees_with_pinocchio(name: str) -> None:
         ]
         rotation = check.product(R, turn) if joint.kind == "revolute" else R
         place = [rotation[i][k] for k in range(3) for i in range(3)] + r
-        body = numbers(*(S[i][k] for i in range(4) for k in range(i + 1)))
+        body = [numbers(*row) for row in S]
         joints.append(SimpleNamespace(kind=joint.kind, axis=axis, place=place, body=body))
     torque = [check.Node("symbol", value=("tau", k)) for k in range(n)]
     gravity = numbers(*(check.Fraction(float(x)) for x in robot.gravity))
@@ -360,37 +357,3 @@ def test_the_energy_of_the_bodies_is_that_of_the_mass_matrix(name: str) -> None:
         pin.crba(model, data := model.createData(), at)
         M = np.triu(data.M) + np.triu(data.M, 1).T
         assert float(function(at, e, numbers)) == pytest.approx(float(e @ M @ e), rel=1e-9)
-
-
-def test_the_degree_bound_of_a_known_polynomial() -> None:
-    check = checker()
-    x = check.Node("symbol", value=("x", 0))
-    product = (x + check.number(3)) * (x * x)  # (x + 3) x^2: degree 3, coefficients 1 and 3
-    assert check.complexity([product], {}) >= 3 + np.log2(4)
-    assert check.complexity([check.ONE / product], {}) >= 2 * check.complexity([product], {})
-    assert check.complexity([check.Node("tanh", product), check.Node("tanh", x)], {}) >= 3 + 1
-    assert check.complexity([product], {x: check.Fraction(2**1000 - 1)}) >= 3 * 1000
-
-
-def test_intervals_and_pivots_decide_signs() -> None:
-    check = checker()
-    F, interval = check.Fraction, check.Interval
-
-    a = interval(F(-1), F(2))
-    assert ((a * a).lower, (a * a).upper) == (0, 4)
-    assert ((a * interval(F(3), F(4))).lower, (a * interval(F(3), F(4))).upper) == (-4, 8)
-    with pytest.raises(ArithmeticError):
-        interval.call(check.Node("inv", check.ONE), a)
-    for elements, positive in (
-        ((2, 1, 1, 1), True),
-        ((1, 2, 2, 1), False),
-        ((1, 4, 0, 1), False),
-        ((2, 2, 0, 1), True),
-    ):
-        rows = check.matrix(check.symmetric([check.number(x) for x in elements], 2), 2)
-        values = check.evaluate(check.pivots(rows), interval.call, {})
-        assert (min(x.lower for x in values) > 0) == positive
-    one, between = check.Node("symbol", value=("one", 0)), check.Node("symbol", value=("between", 0))
-    rows = [[between, one], [one, check.ONE]]
-    known = {one: interval(F(1), F(1)), between: interval(F(1), F(2))}
-    assert min(x.lower for x in check.evaluate(check.pivots(rows), interval.call, known)) == 0

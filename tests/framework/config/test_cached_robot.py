@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import dmframe as dm
 import dmframe_plants
 from dmframe.common.errors import MissingError, RobotError
 from dmframe.config import cached_robot as module
@@ -48,6 +49,13 @@ def test_each_packaged_robot_is_recalled_as_it_was_read(reads: list[str]) -> Non
     assert reads == [*robots(), name]  # for the model
     with pytest.raises(AttributeError, match="no attribute 'mode'"):
         _ = last.mode
+
+
+def test_a_loop_of_a_recalled_robot_is_built_without_its_file(reads: list[str]) -> None:
+    for _ in range(2):
+        loop = dm.load("pendulum").diagram.loop
+    assert loop.state.numel() > 0
+    assert reads == ["pendulum"]
 
 
 def test_a_recalled_robot_is_pickled_with_the_way_to_its_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

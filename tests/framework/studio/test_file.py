@@ -42,6 +42,7 @@ def test_an_edit_changes_its_line_alone(file: File) -> None:
 
 def test_ends_that_would_become_one_are_kept_apart() -> None:
     assert with_line_ends("a\n\ra", "\n\n") == "\n\n"
+    assert with_line_ends("aa\n\na\r\ra", "a\n\n\n") == "a\n\n\n"
 
 
 def test_a_new_line_has_the_line_end_that_most_have() -> None:
