@@ -63,12 +63,15 @@ class Enclosure:
         Factors of the moves, and Jacobian of the plant.
     within
         Bound on the distance of the equilibrium from the given point, in the units of the states.
+    box
+        Balls of the states at the equilibrium, of the parameters, and the period.
     """
 
     L: Sequence[Row]
     R: Sequence[Row]
     A: arb_mat
     within: float
+    box: Sequence[Sequence[arb]]
 
 
 @final
@@ -106,6 +109,11 @@ class EnclosedLoop:
         self._timed = any(node.code == INPUT and node.a == 2 for program in programs for node in program.nodes)
         self._once: Enclosure | None = None
         self._last: tuple[float, Enclosure] | None = None
+
+    @property
+    def numbers(self) -> list[float]:
+        """The parameters in floating point."""
+        return [float(value) for value in self._p]
 
     @property
     def moving(self) -> int:
@@ -214,7 +222,7 @@ class EnclosedLoop:
         A = arb_mat(flowing, flowing, found).transpose()
         own = {term[0] for item in split.kept for term in list(item)[:1]}
         away = [(a - float(b)).abs_upper() for k, (a, b) in enumerate(zip(x, point, strict=True)) if k not in own]
-        return Enclosure(L, R, A, above(max(away, default=ZERO) + reach))
+        return Enclosure(L, R, A, above(max(away, default=ZERO) + reach), inputs)
 
     def _alone(self, slope: Sequence[Row]) -> dict[int, int]:
         """Signals of a large loop that equal a state, each with that state."""

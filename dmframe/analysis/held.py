@@ -54,13 +54,24 @@ _NAMED: Final = 3
 @final
 @dataclass(frozen=True, eq=False)
 class HeldLoop:
-    """Enclosures of A, E and K of (1), with the labels of the states x and of the held signals v."""
+    r"""Enclosures of A, E and K of (1), with the labels of the states x and of the held signals v.
+
+    Where x are only the moving coordinates of a loop, `rates` are the matrices of the rates of all of its states in
+    (x, e), on which K acts: :math:`\dot e = -K (L x + F e)`.
+    """
 
     states: tuple[str, ...]
     held: tuple[str, ...]
     A: arb_mat
     E: arb_mat
     K: arb_mat
+    rates: tuple[arb_mat, arb_mat] | None = None
+
+    @property
+    def grown(self) -> tuple[arb_mat, arb_mat]:
+        """C and D of the rate of the held error, C x + D e."""
+        L, F = (self.A, self.E) if self.rates is None else self.rates
+        return self.K * L * -1, self.K * F * -1
 
 
 @final
@@ -144,7 +155,7 @@ def held_slopes(diagram: Diagram, uncertain: Collection[str] = ()) -> HeldSlopes
     flow, signals = _without_zeros(loop, [loop.flow, signals], uncertain)
     _refuse_switches(loop, ca.vertcat(flow, signals))
     slopes = [ca.jacobian(flow, own), ca.jacobian(flow, leaves), ca.jacobian(signals, loop.state)]
-    states, held = _labels(loop), [*_commands(loop), *(f"d {label}/dt" for label in _labels(loop)[:first])]
+    states, held = _labels(loop), [*commands_of(loop), *(f"d {label}/dt" for label in _labels(loop)[:first])]
     _refuse_nonlinear(loop, slopes, [states[first:], states[first:], held])
     F = ca.diagcat(ca.SX(first, first), slopes[0])
     E = ca.vertcat(
@@ -180,7 +191,8 @@ def _labels(loop: ClosedLoop) -> list[str]:
     return _elements([(v.label, v.symbol.numel()) for v in loop.variables])
 
 
-def _commands(loop: ClosedLoop) -> list[str]:
+def commands_of(loop: ClosedLoop) -> list[str]:
+    """Labels of the elements of the commands."""
     return _elements([(leaf.name, leaf.symbol.numel()) for leaf in loop.commanded])
 
 
@@ -230,4 +242,4 @@ def _acting(A: SX, K: SX) -> tuple[list[int], list[int]]:
     return sorted(kept), sorted({row for row, _ in by_signal})
 
 
-__all__ = ["HeldLoop", "HeldSlopes", "held_loop", "held_slopes", "other_steps", "own_numbers"]
+__all__ = ["HeldLoop", "HeldSlopes", "commands_of", "held_loop", "held_slopes", "other_steps", "own_numbers"]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 from dmframe.analysis.held import held_slopes, other_steps
 from dmframe.analysis.held_box import interval_over_box
+from dmframe.analysis.held_linearised import linearised_interval
 from dmframe.analysis.held_rise import Rise, rise_of
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
 from dmframe.certify.uncertain import FACTOR, tie_of
-from dmframe.common.errors import DmframeError
+from dmframe.common.errors import DisagreementError, DmframeError
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
 
@@ -37,6 +38,11 @@ class ClockProof:
         Without a proof: the reason.
     rise
         A state from which V of the certificate rises over every short interval, if one was found.
+    linearised
+        Without a proof of the loop: the interval of the loop linearised at its set-point, without the slope of Coulomb
+        friction at rest [s]; None if that is not proved either.
+    linearised_reason
+        The reason why not.
     """
 
     clock: float | None
@@ -46,6 +52,8 @@ class ClockProof:
     over: tuple[str, ...] = ()
     reason: str = ""
     rise: Rise | None = None
+    linearised: float | None = None
+    linearised_reason: str = ""
 
     @property
     def covers_clock(self) -> bool:
@@ -63,6 +71,8 @@ class ClockProof:
             "held": list(self.held),
             "over": list(self.over),
             "reason": self.reason,
+            "linearised": self.linearised,
+            "linearised_reason": self.linearised_reason,
             "rise": None
             if self.rise is None
             else {"rho": self.rise.rho, "because": self.rise.because, "state": dict(self.rise.state)},
@@ -100,9 +110,16 @@ def prove_clock(
         interval = interval_over_box(slopes, own)
         return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own))
     except DmframeError as fault:
-        emulated = not any(other_steps(diagram.loop))
-        rise = rise_of(claim, kappa=kappa, seed=seed, start=start) if claim is not None and emulated else None
-        return ClockProof(clock, reason=fault.text, rise=rise)
+        if any(other_steps(diagram.loop)):
+            return ClockProof(clock, reason=fault.text)
+        rise = rise_of(claim, kappa=kappa, seed=seed, start=start) if claim is not None else None
+        found = ClockProof(clock, reason=fault.text, rise=rise)
+    try:
+        return replace(found, linearised=linearised_interval(diagram, clock, start=start))
+    except DisagreementError:
+        raise
+    except DmframeError as fault:
+        return replace(found, linearised_reason=fault.text)
 
 
 def _is_varied(label: str, given: Sequence[Interval]) -> bool:

@@ -54,8 +54,18 @@ Array = NDArray[np.float64]
 LONGEST: Final = 100.0
 """Longest tested sampling interval [s]."""
 
-_STRICT: Final = 1e-5
+_STRICT: Final = 1e-7
 """Margin in the Riccati equation, relative to its largest diagonal element."""
+
+_FLAT: Final = 1e-14
+"""Least spread of a state, relative to the largest."""
+
+_FEW: Final = 3
+_MANY: Final = 10
+_CLIMBS: Final = 8000
+_LONGER: Final = 1.003
+"""Number of held signals above which the first W is diagonal; number of its elements above which random steps search
+it, number of these steps, and factor on the interval in each that succeeds."""
 
 _AXIS: Final = 1e-7
 """Real parts below this, relative to the largest modulus, count as zero."""
@@ -68,13 +78,13 @@ _MOST_TRIALS: Final = 600
 _ANGLES: Final = (0.05, 0.3, 0.8, 1.5)
 """First tried angles gamma T [rad]; those of one state are near zero."""
 
-_FRACTIONS: Final = (0.9999, 0.999, 0.99, 0.95, 0.8, 0.6)
+_FRACTIONS: Final = (0.9999, 0.999, 0.997, 0.99, 0.97, 0.95, 0.9, 0.8, 0.6)
 """Tested fractions of the interval found in floating point."""
 
 _FIRST: Final = 1 / 4
 """The first tested interval, relative to the sum of the loop's time constants."""
 
-_GAINS: Final = (-12.0, -8.0, -4.0, 0.0, 4.0)
+_GAINS: Final = tuple(range(-14, 8, 2))
 """First tried logarithms of the gains of wide elements."""
 
 _RANK: Final = 1e-9
@@ -118,7 +128,7 @@ def proved_interval(loop: HeldLoop, storage: HeldStorage) -> float:
 
 def _form(loop: HeldLoop, P: arb_mat, W: arb_mat, beta: arb, gamma: arb) -> arb_mat:
     """Matrix of the quadratic form in (x, e) that (2) requires to be negative."""
-    C, D = loop.K * loop.A * -1, loop.K * loop.E * -1
+    C, D = loop.grown
     PA, WC, WD = P * loop.A, W * C, W * D
     xx = PA + PA.transpose() + C.transpose() * WC
     xe = P * loop.E + C.transpose() * WD - WC.transpose() * beta
@@ -195,7 +205,7 @@ def _proved(loop: HeldLoop, ends: Sequence[HeldLoop], directions: Sequence[Array
 
 @final
 class HeldSearch:
-    r"""Search in floating point, with states scaled by their spread under white noise in e.
+    r"""Search in floating point, in states with a spread of one under white noise in e.
 
     Each direction of rank one in which [A E] varies, :math:`\delta\, b\, z^\top` with :math:`|\delta| \le 1`, is an
     input :math:`p = \delta\, z^\top (x, e)`, and a term :math:`g\, ((z^\top (x, e))^2 - p^2)` on the left side of
@@ -203,23 +213,29 @@ class HeldSearch:
     """
 
     def __init__(self, loop: HeldLoop, directions: Sequence[Array] = ()) -> None:
-        from scipy.linalg import solve_continuous_lyapunov
+        from scipy.linalg import block_diag, solve_continuous_lyapunov
 
-        A, E, K = (middles(matrix) for matrix in (loop.A, loop.E, loop.K))
+        A, E = middles(loop.A), middles(loop.E)
         self._slow = float(np.sum(1 / -require_stable(A, loop.states)))
         spread = solve_continuous_lyapunov(A, -(E @ E.T))
-        size = np.diag(spread)
-        self._scale = np.sqrt(np.maximum(size, 1e-12 * max(float(np.max(size)), 1e-300)))
-        self._A, E, K = A * self._scale / self._scale[:, None], E / self._scale[:, None], K * self._scale
-        both, pairs = np.append(self._scale, np.ones(len(K))), list[tuple[Array, Array]]()
+        sizes, axes = np.linalg.eigh((spread + spread.T) / 2)
+        self._scale = axes * np.sqrt(np.maximum(sizes, _FLAT * max(float(sizes[-1]), 1e-300)))
+        self._inverse = np.linalg.inv(self._scale)
+        self._A = self._inverse @ A @ self._scale
+        both, pairs = block_diag(self._scale, np.eye(E.shape[1])), list[tuple[Array, Array]]()
         for N in directions:
-            pairs += _of_rank_one(N * both / self._scale[:, None])
+            pairs += _of_rank_one(self._inverse @ N @ both)
         self._z = np.array([z for _, z in pairs]).reshape(-1, len(both))
-        self._inputs = np.hstack([E, *(b[:, None] for b, _ in pairs)])
-        self._C, self._D = -K @ self._A, -K @ self._inputs
-        moved = self._C @ (spread / np.outer(self._scale, self._scale)) @ self._C.T
+        self._inputs = np.hstack([self._inverse @ E, *(b[:, None] for b, _ in pairs)])
+        C, D = map(middles, loop.grown)
+        self._C = C @ self._scale
+        others = self._inputs[:, E.shape[1] :]
+        self._D = np.hstack([D, -middles(loop.K) @ self._scale @ others]) if pairs else D
+        moved = self._C @ solve_continuous_lyapunov(self._A, -np.eye(len(A))) @ self._C.T
         moved = moved + _SPREAD * max(float(np.trace(moved)) / len(moved), 1e-300) * np.eye(len(moved))
         self._first = np.linalg.cholesky(np.linalg.inv(moved))
+        if len(self._first) > _FEW:
+            self._first = np.diag(1 / np.sqrt(np.diag(moved)))
         self._places = np.tril_indices(len(moved))
 
     def best(self) -> tuple[float, float, Array, Array]:
@@ -232,7 +248,7 @@ class HeldSearch:
         def longest(z: Array) -> float:
             return self.longest(*self._numbers(z))
 
-        gains = _GAINS if count else (0.0,)
+        gains = _GAINS if count else (0,)
         starts = [
             np.concatenate([[math.log(angle / (math.pi - angle))], np.zeros(shape), np.full(count, gain)])
             for angle in _ANGLES
@@ -246,9 +262,26 @@ class HeldSearch:
             "fatol": 1e-4 * self._slow,
             "initial_simplex": np.vstack([z, z + steps]),
         }
+        if shape > _MANY:
+            return self._climbed(z)
         found = minimize(lambda z: -longest(z), z, method="Nelder-Mead", options=options).x
         z = max((found, z), key=longest)
         return (longest(z), *self._numbers(z))
+
+    def _climbed(self, z: Array) -> tuple[float, float, Array, Array]:
+        """The same by random steps that lengthen the interval, where W has many elements."""
+        rng, step, best = np.random.default_rng(0), 0.3, self.longest(*self._numbers(z))
+        if best == 0:  # no start solves it
+            return (best, *self._numbers(z))
+        for _ in range(_CLIMBS):
+            other = z + step * rng.normal(size=len(z)) * (rng.random(len(z)) < 0.2)
+            angle, W, gains = self._numbers(other)
+            longer = best * _LONGER
+            if self._solvable(*_multipliers(longer, angle), W, gains):
+                z, best, step = other, longer, min(step * 1.5, 1.0)
+            else:
+                step = max(step * 0.99, 0.01)
+        return (best, *self._numbers(z))
 
     def _numbers(self, z: Array) -> tuple[float, Array, Array]:
         """The angle gamma T, W and the gains from the searched numbers."""
@@ -288,7 +321,8 @@ class HeldSearch:
                 P = solve_continuous_are(self._A, self._inputs, Q, R, s=S)
             except (np.linalg.LinAlgError, ValueError):
                 return None
-        P = (P + P.T) / 2 / np.outer(self._scale, self._scale)
+        P = self._inverse.T @ ((P + P.T) / 2) @ self._inverse
+        P = (P + P.T) / 2
         return HeldStorage(interval, P, (W + W.T) / 2, beta, gamma) if np.all(np.isfinite(P)) else None
 
     def _weights(

@@ -366,8 +366,9 @@ globalThis.checker = (() => {
   // integral of r r' dm over the points r = (x, y, z, 1) of the link. With the Jacobian U_j = dT/dq_j and its rates, V the
   // rate of T and C its acceleration less gravity, the force of joint j is sum_i tr(U_j S C'), by d'Alembert's principle.
   function robot(of, item) {
-    const g = of.graph, { rotors, gravity, torque } = item, q = of.inputs(item.position), n = q.length, dq = of.exactRates(q), ddq = of.exactRates(dq), found = [];
+    const g = of.graph, { rotors, gravity, torque } = item, q = of.inputs(item.position), n = q.length, dq = of.exactRates(q), found = [];
     if (new Set([...q, ...dq].filter((k) => of.kind(k) === "state")).size < 2 * n) refute("positions and speeds of the robot: expected states");
+    const ddq = of.exactRates(dq);
     need(n && of.of([...rotors, ...gravity], ["constant"]) && item.joints.length === n && rotors.length === n && gravity.length === 3, "size");
     const scaled = (X, factor) => X.map((row) => row.map((x) => g.mul(x, factor)));
     const plus = (...all) => all.reduce((X, Y) => X.map((row, i) => row.map((x, j) => g.add(x, Y[i][j]))));
@@ -582,8 +583,12 @@ globalThis.checker = (() => {
     }
     // Nodes that depend on numbers alone. What is assumed of a vector must hold for these.
     decided(nodes) {
-      const { graph: g, known } = this.of, open = (k) => (g.op[k] === INPUT ? !known.has(k) && !this.boxes.has(k) : g.op[k] >= CALL && g.name(k) !== "fabs");
-      return nodes.filter((x) => !g.slice([x]).some(open));
+      const { graph: g, known } = this.of, open = new Set();
+      for (const k of g.slice(nodes)) {
+        const own = g.op[k] === INPUT ? !known.has(k) && !this.boxes.has(k) : g.op[k] >= CALL && g.name(k) !== "fabs";
+        if (own || g.operands(k).some((x) => open.has(x))) open.add(k);
+      }
+      return nodes.filter((k) => !open.has(k));
     }
     // A matrix is positive definite if all pivots of its symmetric part are positive.
     pivots(all) {
@@ -600,7 +605,7 @@ globalThis.checker = (() => {
     // True for a term that is not negative; `strict` collects those with a positive weight.
     term(term) {
       const { rule, name, weight, scale, assumed, vector } = term;
-      const n = vector.length, wide = rule === "square" && weight.length === n * n, decided = this.decided(weight);
+      const n = vector.length, wide = rule === "square" && weight.length === n * n, decided = assumed ? this.decided(weight) : weight;
       let sign = this.sign(weight, rule === "square" ? n : 0);
       if (assumed && decided.length < weight.length) {
         this.assumed.push(`${name}: its weight is uniformly positive: ${assumed}`);

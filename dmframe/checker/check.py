@@ -460,8 +460,9 @@ class Certificate:
 
     def decided(self, nodes):
         """Those that depend on numbers alone. What is assumed of a vector must hold for these."""
-        parts = {"number", "fabs", "inv", *ARITHMETIC}
-        return [x for x in nodes if all(part.name in parts for part in below([x], self.known))]
+        parts, known = {"number", "fabs", "inv", *ARITHMETIC}, dict.fromkeys(self.known, True)
+        found = evaluate(nodes, lambda node, *of: node.name in parts and all(of), known)
+        return [x for x, is_decided in zip(nodes, found) if is_decided]
 
 
 # ---- Terms and the robot ---------------------------------------------------------------------------------------------

@@ -77,6 +77,11 @@ class Parts:
         return Hoisted(trajectory, sample, rate, clip, constants)
 
     @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What was derived from these functions, by a key of the module that made it."""
+        return {}
+
+    @cached_property
     def slopes(self) -> Slopes:
         """The plant's Jacobian, in two forms if it is expensive."""
         return Slopes.of(self.rate, self.explicit)

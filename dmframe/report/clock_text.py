@@ -34,6 +34,14 @@ def clock_text(proof: ClockProof) -> str:
                 f"V rises over every short sampling interval T, from a robot at rest on a path at rest, by {size}; "
                 f"largest share: the held {proof.rise.because} (state: --json)"
             )
+        if proof.linearised is not None:
+            limit = plain(rounded_down(proof.linearised), "s")
+            lines.append(
+                f"linearised at its set-point, a storage function falls for all intervals up to {limit}, equal or not; "
+                "this is about the linearisation"
+            )
+        if proof.linearised_reason:
+            lines.append(f"linearised at its set-point it has no such interval: {proof.linearised_reason}")
     first, *rest = lines
     return "\n".join([_wrap(first, "  "), *(_wrap(line, "    ") for line in rest)])
 

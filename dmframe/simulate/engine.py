@@ -18,6 +18,7 @@ from dmframe.build.trial import called
 from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.remembered.recorder import paused
+from dmframe.simulate.block_starts import once
 from dmframe.simulate.solver import FIXED, Solver
 from dmframe.simulate.step import Step
 
@@ -108,7 +109,9 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
 
     try:
         with paused():  # what a run concludes does not depend on its engine
-            loaded = load(loop_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
+            source = partial(loop_source, step.parts, implicit=step.implicit)
+            text: str = once(step.parts.derived, ("source", step.implicit), source)
+            loaded = load(text, lambda library: _works(library, step))
     except EngineError as error:
         return None, error.text
     if loaded.library is None:

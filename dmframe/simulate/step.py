@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.certificate import SX
+from dmframe.block.linalg import nodes
 from dmframe.common.errors import EngineError
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
@@ -149,8 +150,14 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
     The sampling period is an argument of the functions, which are cached per loop.
     """
     whole = clock is None
-    parts: Parts = once(loop.derived, ("parts", whole), lambda: _unrecorded(loop, continuous=whole))
-    return replace(parts, outputs=_evaluated("outputs", loop, [recorded]))
+
+    def recording() -> tuple[Parts, SX]:
+        parts: Parts = once(loop.derived, ("parts", whole), lambda: _unrecorded(loop, continuous=whole))
+        return replace(parts, outputs=_evaluated("outputs", loop, [recorded])), recorded
+
+    # the stored expression keeps the identities of its nodes unique
+    found: tuple[Parts, SX] = once(loop.derived, ("recording", whole, nodes(recorded)), recording)
+    return found[0]
 
 
 def _unrecorded(loop: ClosedLoop, *, continuous: bool) -> Parts:

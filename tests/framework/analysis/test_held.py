@@ -209,7 +209,7 @@ def test_seeded_faults_leave_no_interval() -> None:
 def test_the_interval_is_proved_for_all_matrices_in_an_enclosure() -> None:
     loop = held_loop(cart())
     storage = find_storage(loop)
-    A = arb_mat([[arb(float(value), 1e-10) for value in row] for row in numbers(loop)[0]])
+    A = arb_mat([[arb(float(value), 1e-13) for value in row] for row in numbers(loop)[0]])
     assert proved_interval(replace(loop, A=A), storage) == storage.interval
     A = arb_mat([[arb(float(value), 1.0) for value in row] for row in numbers(loop)[0]])
     assert proved_interval(replace(loop, A=A), storage) == 0

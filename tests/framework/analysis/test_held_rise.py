@@ -86,6 +86,10 @@ def test_verify_prints_why_a_loop_is_not_proved_on_its_clock() -> None:
         "  clock 2 ms: not proved on a clock: the law is not linear: dynamics.a_d_hat is projected onto a set" in text
     )
     assert "V rises over every short sampling interval T" in text
+    linearised = "linearised at its set-point, a storage function falls for all intervals up to 3.01 ms, equal or not"
+    assert linearised in " ".join(text.split())
+    assert found.summary["sampling"]["interval"] is None
+    assert 0.003 < found.summary["sampling"]["linearised"] < 0.0031
     jsonschema.validate(json.loads(json.dumps(found.summary)), verdict_schema())
     assert "sampling" not in dm.load("pd_torque").verify().summary
 

@@ -170,6 +170,22 @@ def point(data: dict[str, Any], rng: random.Random) -> dict[str, list[float]]:
     return found
 
 
+def boxed(data: dict[str, Any], symbols: dict[str, list[float]], rng: random.Random) -> dict[str, list[float]]:
+    """The point with projected states inside their boxes."""
+    at, program = Numbers(data, symbols), data["program"]
+    found = {label: [*own] for label, own in symbols.items()}
+    for term in data["terms"]:
+        if term["rule"] == "projected" and not at.samples:
+            part = term["parts"]
+            ends = zip(
+                data["vectors"][part["vector"]], at.vectors[part["lower"]], at.vectors[part["upper"]], strict=True
+            )
+            for k, low, high in ends:
+                label = data["symbols"][program["a"][k]]["label"]
+                found[label][program["b"][k]] = rng.uniform(max(low, min(-1.3, high - 1)), min(high, max(1.3, low + 1)))
+    return found
+
+
 def stated(data: dict[str, Any], symbols: dict[str, list[float]]) -> list[float]:
     """Numbers of which the file's statement consists: terms, rates and all vectors that its statements name."""
     at, found = Numbers(data, symbols), list[float]()
@@ -209,6 +225,7 @@ def holds(data: dict[str, Any], found: dict[str, Any]) -> str:
     for _ in range(30):
         symbols = point(data, rng)
         try:
+            symbols = boxed(data, symbols, rng)
             fault = _fault(data, found, symbols, Numbers(data, symbols))
         except (ArithmeticError, ValueError):
             continue  # a point outside of the domain of a function

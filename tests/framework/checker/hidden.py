@@ -194,6 +194,9 @@ def _bodies() -> Iterator[Attack]:
     file.data["robots"][0] |= {"rotors": file.vector(file.number("-2")), "torque": file.vector(-1)}
     yield "a rotor with a negative inertia", file.data, "refuted"
     file = _turning()
+    file.data["rates"]["q"] = file.vector(file.symbol("u", "given"))
+    yield "speeds that are given and have no rate", file.data, "refuted"
+    file = _turning()
     file.data["robots"][0]["gravity"] = file.vector(-1, -1)
     yield "gravity of two elements", file.data, "refused"
 

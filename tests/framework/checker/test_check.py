@@ -98,6 +98,19 @@ def test_what_it_does_not_derive_is_listed_by_name(name: str, text: str) -> None
         assert said(verdict, data) <= {*found["conclusions"], *found["not_checked"], *found["assumed"]}
 
 
+def test_a_position_feedback_is_proved_again_and_needs_its_gain() -> None:
+    settings = {"inverse.K_c": 2, "model.bias": True, "dynamics.a_d_hat_box": None}
+    verdict = dm.load("joint_tracking_bounded").set(settings).verify().verdict
+    wanted = ["q - q_tie is square-integrable", "q - q_tie goes to zero"]
+    for gain, shown, status in (("2", wanted, "re-proved"), ("0", [], "re-proved"), ("-1", [], "refuted")):
+        data = certificate_of(verdict, {})
+        (item,) = (item for item in data["symbols"] if item["label"] == "inverse.K_c")
+        item["numbers"] = [[gain, gain]] * item["size"]
+        for found in (result(data), *in_node([data])):
+            assert found["status"] == status
+            assert [text for text in wanted if text in found.get("conclusions", [])] == shown
+
+
 def test_other_letters_than_ascii_are_escaped_in_names() -> None:
     verdict = dm.load("pendulum").verify().verdict
     first, *others = verdict.conditions

@@ -22,7 +22,7 @@ from dmframe.common.errors import DmframeError, EngineError, UnknownNameError, V
 from dmframe.diagram.parts import Parts
 from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
-from dmframe.simulate import Log, Recording, Solver, simulate
+from dmframe.simulate import Log, Recording, Solver, simulate, step
 from dmframe.simulate.run import prepare
 
 
@@ -81,6 +81,25 @@ def test_an_adaptive_solver_is_interpreted_and_gives_a_notice_where_compiled_was
 def test_an_unknown_engine_is_refused() -> None:
     with pytest.raises(ValueFault, match="engine: expected auto, compiled, interpreted, found 'fast'"):
         ran("pendulum", "fast", 0.1)
+
+
+def test_a_second_run_of_a_diagram_builds_no_functions_and_one_without_a_clock_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made, build = list[str](), step._evaluated
+    monkeypatch.setattr(step, "_evaluated", lambda name, *given: made.append(name) or build(name, *given))
+    diagram = Graph.read("pendulum").diagram
+
+    def run(clock: float | None, *signals: str) -> Recording:
+        return simulate(diagram, 0.1, clock=clock, engine="compiled", log=Log(signals=signals))
+
+    first, again = run(0.002, "arm.ddq"), run(0.002, "arm.ddq")
+    assert made.count("outputs") == 1
+    np.testing.assert_array_equal(first["arm.ddq"], again["arm.ddq"])
+    assert "arm.ddq" not in run(0.002, "inverse.dq_c").outputs
+    assert made.count("outputs") == 1
+    run(None, "arm.ddq")
+    assert made.count("outputs") == 2
 
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
