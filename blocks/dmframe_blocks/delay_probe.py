@@ -68,7 +68,8 @@ class DelayProbe(AbstractBlock):
     `lasting`. The new delay is longer by at least one sample, and the scale does not become smaller. With a delay that
     would be longer than `delay_up_to`, or a last sum that does not reach the threshold, it remains unknown; in the
     first case the excitation ends too. So a loop that diverges with the delay is left, at most delay_up_to + 1 times.
-    The mean is held during the first `blanking` after the identification: a trial of `expert_aggregation` moves the tool.
+    The mean is held during the first `blanking` after the identification: a trial of `expert_aggregation` moves the
+    tool.
 
     It trips as well if the mean of the period over about 25 samples becomes more than 2.5 times as long or as short as
     when the delay was identified, for example since the operator slows the robot down: the servo then responds in other
