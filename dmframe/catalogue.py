@@ -24,8 +24,8 @@ from typing import TypeGuard
 from dmframe.block import AbstractBlock
 from dmframe.block.reloaded import CODE
 from dmframe.common import trust
-from dmframe.common.errors import BlockError, UnknownNameError
-from dmframe.common.files import expanded, is_file, probed
+from dmframe.common.errors import BlockError, UnknownNameError, ValueFault
+from dmframe.common.files import ROBOT_FILES, expanded, is_file, probed
 
 GROUP = "dmframe.blocks"
 _LOADED = "__dmframe_source__"
@@ -190,12 +190,16 @@ def find_race(name: str) -> Path:
 def _found(name: str, noun: str, packaged: Callable[[], dict[str, Path]]) -> Path:
     path = expanded(name)
     probed(path)
-    if path.suffix in (".yaml", ".yml") or is_file(path):
+    if path.suffix in (".yaml", ".yml") or (is_file(path) and not name.lower().endswith(ROBOT_FILES)):
         return path
     known = packaged()
-    if name not in known:
-        raise UnknownNameError(name, noun, name, known, others=_hint(name, noun))
-    return known[name]
+    if name in known:
+        return known[name]
+    from dmframe.robot.library import robots  # takes 0.1 s, and most names are those of graphs
+
+    if name.lower().endswith(ROBOT_FILES) or name in robots():
+        raise ValueFault(f"{name}: expected a {noun}, found a robot; `dmframe new {name}` writes a graph of it")
+    raise UnknownNameError(name, noun, name, known, others=_hint(name, noun))
 
 
 def _hint(name: str, noun: str) -> str:

@@ -28,7 +28,7 @@ from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.set_point import LARGE
 from dmframe.analysis.switches import chosen, numbers_of, values_of
 from dmframe.block.certificate import SX
-from dmframe.common.errors import DisagreementError, DmframeError
+from dmframe.common.errors import DisagreementError
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.balls import ZERO, UndecidedError, enclosed, precise
@@ -45,22 +45,20 @@ MOST: Final = 24
 """Largest number of held signals: the search for W has the square of it."""
 
 
-def linearised_interval(
-    diagram: Diagram, clock: float | None, *, start: Mapping[str, Any] | None = None
-) -> float | None:
+def linearised_interval(diagram: Diagram, clock: float | None, *, start: Mapping[str, Any] | None = None) -> float:
     """The interval T [s] of the loop linearised at its set-point, without the slope of Coulomb friction at rest.
 
-    None if it is not proved, and for a loop with more than `LARGE` states.
-
-    Raises `DisagreementError` if the linearised loop is unstable, in floating point, with equal intervals up to T.
+    Raises
+    ------
+    DmframeError
+        No interval is proved.
+    DisagreementError
+        The linearised loop is unstable, in floating point, with equal intervals up to T.
     """
-    if diagram.loop.state.numel() > LARGE:
-        return None
-    try:
-        linear = linearise(diagram, start=start, moving=True, clock=clock)
-        found = find_storage(held_linearised(diagram, linear, clock or _SOME, moving=True)).interval
-    except DmframeError:
-        return None
+    if (size := diagram.loop.state.numel()) > LARGE:
+        raise UndecidedError(f"it has {size} states; the search is limited to {LARGE}")
+    linear = linearise(diagram, start=start, moving=True, clock=clock)
+    found = find_storage(held_linearised(diagram, linear, clock or _SOME, moving=True)).interval
     for part in (1.0, 0.5, 0.25):
         if not linear.spectral_radius(part * found) <= 1 + _ROUNDING:
             raise DisagreementError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 from dmframe.analysis.held import held_slopes, other_steps
@@ -13,7 +13,7 @@ from dmframe.analysis.held_rise import Rise, rise_of
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
 from dmframe.certify.uncertain import FACTOR, tie_of
-from dmframe.common.errors import DmframeError
+from dmframe.common.errors import DisagreementError, DmframeError
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
 
@@ -41,6 +41,8 @@ class ClockProof:
     linearised
         Without a proof of the loop: the interval of the loop linearised at its set-point, without the slope of Coulomb
         friction at rest [s]; None if that is not proved either.
+    linearised_reason
+        The reason why not.
     """
 
     clock: float | None
@@ -51,6 +53,7 @@ class ClockProof:
     reason: str = ""
     rise: Rise | None = None
     linearised: float | None = None
+    linearised_reason: str = ""
 
     @property
     def covers_clock(self) -> bool:
@@ -69,6 +72,7 @@ class ClockProof:
             "over": list(self.over),
             "reason": self.reason,
             "linearised": self.linearised,
+            "linearised_reason": self.linearised_reason,
             "rise": None
             if self.rise is None
             else {"rho": self.rise.rho, "because": self.rise.because, "state": dict(self.rise.state)},
@@ -109,8 +113,13 @@ def prove_clock(
         if any(other_steps(diagram.loop)):
             return ClockProof(clock, reason=fault.text)
         rise = rise_of(claim, kappa=kappa, seed=seed, start=start) if claim is not None else None
-        linearised = linearised_interval(diagram, clock, start=start)
-        return ClockProof(clock, reason=fault.text, rise=rise, linearised=linearised)
+        found = ClockProof(clock, reason=fault.text, rise=rise)
+    try:
+        return replace(found, linearised=linearised_interval(diagram, clock, start=start))
+    except DisagreementError:
+        raise
+    except DmframeError as fault:
+        return replace(found, linearised_reason=fault.text)
 
 
 def _is_varied(label: str, given: Sequence[Interval]) -> bool:

@@ -271,6 +271,8 @@ class HeldSearch:
     def _climbed(self, z: Array) -> tuple[float, float, Array, Array]:
         """The same by random steps that lengthen the interval, where W has many elements."""
         rng, step, best = np.random.default_rng(0), 0.3, self.longest(*self._numbers(z))
+        if best == 0:  # no start solves it
+            return (best, *self._numbers(z))
         for _ in range(_CLIMBS):
             other = z + step * rng.normal(size=len(z)) * (rng.random(len(z)) < 0.2)
             angle, W, gains = self._numbers(other)

@@ -173,7 +173,8 @@ def same_expression(one: SX, other: SX) -> bool:
 def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
     """The same for lists of equal length."""
     symbols = ca.symvar(ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item)) for item in (*ones, *others))))
-    one, other = (ca.Function("same", symbols, list(items)).serialize() for items in (ones, others))
+    given = [ca.vertcat(ca.SX(0, 1), *symbols)]
+    one, other = (ca.Function("same", given, list(items)).serialize() for items in (ones, others))
     return bool(one == other)
 
 
@@ -218,7 +219,8 @@ class _Flat:
     def _written(self, symbols: list[SX]) -> str:
         """The expressions as CasADi writes a function of these symbols; empty if they contain other symbols."""
         try:
-            return str(ca.Function("same", symbols, self._expressions).serialize())
+            given = [ca.vertcat(ca.SX(0, 1), *symbols)]
+            return str(ca.Function("same", given, self._expressions).serialize())
         except RuntimeError:  # free symbols
             return ""
 

@@ -35,6 +35,9 @@ LONG: Final = 20_000
 FLAGS: Final = (TUNED, LIGHT, ("-O2", "-march=native", "-fno-math-errno"), ("-O2",))
 """Sets of flags: `LIGHT` for long sources and `TUNED` for others, then the rest in order. None reorders sums."""
 
+MOST: Final = 8
+"""Largest number of compilers at a time, each of which reads the whole source."""
+
 PIECE: Final = b"\n#if DM_HERE("
 """Beginning of a part of a source that can be compiled apart, see `dmframe.codegen.function.UNITS`."""
 
@@ -64,7 +67,7 @@ class Compiler:
         Raises `CompileFailed`.
         """
         first_error, text = "", source.read_bytes()
-        units = min(cores(), text.count(PIECE))
+        units = min(cores(), text.count(PIECE), MOST)
         for flags in (FLAGS[text.count(b"\n") > LONG], *FLAGS[2:]):
             error = self._build(source, library, flags, units)
             if not error and library.is_file():

@@ -22,7 +22,7 @@ from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.starts import margin_from_start
 from dmframe.common.errors import ValueFault
-from dmframe.common.text import DV, Formula, Text, V, sentence, square_of
+from dmframe.common.text import DISSIPATION, Formula, Text, V, sentence, square_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
@@ -77,14 +77,14 @@ def assumed_positive(claim: Claim, numbers: Numbers) -> list[Assumed]:
     return found
 
 
-def _squares(claim: Claim) -> Iterator[tuple[Part, Formula, int, Square]]:
+def _squares(claim: Claim) -> Iterator[tuple[Part, Formula | str, int, Square]]:
     """Each square of V and of the dissipation, with its position among the terms."""
     for part in claim.parts:
-        for role, terms in ((V, part.certificate.storage), (DV, part.certificate.dissipation)):
+        for role, terms in ((V, part.certificate.storage), (DISSIPATION, part.certificate.dissipation)):
             yield from ((part, role, place, term) for place, term in enumerate(terms) if isinstance(term, Square))
 
 
-def _named(claim: Claim, part: Part, role: Formula, place: int, term: Square) -> Text:
+def _named(claim: Claim, part: Part, role: Formula | str, place: int, term: Square) -> Text:
     law = claim.laws[part.block]
     weight = (law.storage if role is V else law.dissipation)[place].weight
     text = "{block}: the weight {weight} of {square} in {role}"

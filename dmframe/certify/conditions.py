@@ -47,7 +47,7 @@ from dmframe.certify.sampler import over_horizon
 from dmframe.certify.small_gain import small_gain_conditions
 from dmframe.certify.wording import worded
 from dmframe.common.errors import BlockError
-from dmframe.common.text import DV, Formula, Label, Text, V, Written, sentence, square_of
+from dmframe.common.text import DISSIPATION, Formula, Label, Text, V, Written, sentence, square_of
 from dmframe.diagram.view import view
 from dmframe.exact.rational import as_float
 from dmframe.formula.reading import place_of
@@ -147,10 +147,10 @@ def remedies(claim: Claim, numbers: Numbers) -> list[Text]:
     return [item.name for item in sorted_out(decide(stated, numbers))[0] if not item.holds]
 
 
-def _terms(claim: Claim) -> Iterator[tuple[Part, Formula, Stored | Dissipated]]:
+def _terms(claim: Claim) -> Iterator[tuple[Part, Formula | str, Stored | Dissipated]]:
     for part in claim.parts:
         yield from ((part, V, term) for term in part.certificate.storage)
-        yield from ((part, DV, term) for term in part.certificate.dissipation)
+        yield from ((part, DISSIPATION, term) for term in part.certificate.dissipation)
 
 
 def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:

@@ -40,7 +40,7 @@ def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
         *_open(closure),
         *_trajectories(claim),
         *_measured(claim.diagram),
-        Assumption("time is continuous; for a sampled clock see what was measured on the sampled loop", "Section II"),
+        Assumption("time is continuous; `dmframe analyse` examines the sampled loop", "Section II"),
     ]
     return list(dict.fromkeys(found))
 

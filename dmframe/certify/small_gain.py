@@ -84,7 +84,7 @@ def small_gain_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             missing = [] if kappa else list(_missing(claim, numbers))
             text = sentence("the servo level dominates the cascade's cross term for {kappa} above")
             if missing:
-                lacks = "; missing is a weight above zero of {a} in {dV/dt}"
+                lacks = "; missing is a weight above zero of {a} in the dissipation"
                 text = sentence("the servo level dominates the cascade's cross term" + lacks, a=square_of(missing[0]))
             value = as_float(kappa.least) if kappa else None
             weights = ca.vertcat(*(_composed(*pair)[1] for pair in _dominating(claim)))

@@ -12,7 +12,7 @@ import typer
 
 from dmframe.cli.arguments import NOTHING, Listed, graph_names, home, lesson_numbers, robot_names, type_names
 from dmframe.cli.streams import tell
-from dmframe.common.errors import UnknownNameError
+from dmframe.common.errors import LISTS, UnknownNameError
 from dmframe.common.files import check_new, contains, write_text
 
 if TYPE_CHECKING:
@@ -99,7 +99,8 @@ def new(
         # a graph may be a misspelt one; a robot is never the spelling of another one
         misspelt = bool(difflib.get_close_matches(name, known, n=1, cutoff=0.6))
         choices = known if misspelt else [*known, *packaged_robots()]
-        raise UnknownNameError(name, "graph" if misspelt else "graph or robot", name, choices, spelling=misspelt)
+        kind = "graph" if misspelt else "graph or robot"
+        raise UnknownNameError(name, kind, name, choices, spelling=misspelt, others=LISTS)
     write_text(target, f"# yaml-language-server: $schema={SCHEMA}\n{text}", new=not force)
     write_text(target.with_name(SCHEMA), json.dumps(json_schema(), indent=1) + "\n")
     for note in notes:

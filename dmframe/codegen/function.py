@@ -103,7 +103,10 @@ ONE: Final = Dialect("double", "{}", _FORMS, "dm_sincos", ("arithmetic.h", "one.
 SIMD: Final = Dialect("dm_real", "dm_all({})", {**_FORMS, **_IN_SIMD}, "dm_sincos_simd", ("arithmetic.h", "simd.h"))
 
 PIECE: Final = 3000
-"""Lines of one C function; longer ones are split, since compile time grows faster than linearly."""
+SHORT: Final = 1000
+LONG: Final = 20_000
+"""Lines of one C function: longer ones are split into pieces of `PIECE` lines, those above `LONG` lines into pieces
+of `SHORT` lines, since compile time grows faster than linearly."""
 
 
 @final
@@ -152,7 +155,8 @@ def written(f: Any, dialect: Dialect = ONE, *, units: bool = False) -> str:
             f"  {place} = {value};" for place, value in results.items()
         ]
         return "\n".join([head, *body, "}"])
-    pieces = [lines[first : first + PIECE] for first in range(0, len(lines), PIECE)]
+    size = min(PIECE, SHORT) if len(lines) > LONG else PIECE
+    pieces = [lines[first : first + size] for first in range(0, len(lines), size)]
     carried = _carried(pieces, results)
     own, specifier = f"dm_{f.name()}_piece", "DM_PIECE" if units else "static __attribute__((noinline))"
     given = ", ".join([*(f"a{i}" for i in range(f.n_in())), "h"])

@@ -15,7 +15,9 @@ from typing import final
 def nearest(name: str, choices: Iterable[str]) -> str:
     """Hint at the end of an error message: the nearest valid choice, or all of them if none is near."""
     known = sorted(choices)
-    close = difflib.get_close_matches(name, [other for other in known if _alike(name, other)], n=1, cutoff=0.6)
+    same = [other for other in known if other.casefold() == name.casefold()]
+    near = [other for other in known if _alike(name, other)]
+    close = same or difflib.get_close_matches(name, near, n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]}?"
     if not known:
@@ -35,6 +37,8 @@ def listed(names: Sequence[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
+LISTS = "`dmframe graphs` and `dmframe robots` list the packaged ones"
+"""What replaces a list of all graphs and robots."""
 MOST_LISTED = 6
 """Names of a list that `summarised` gives in full."""
 
@@ -100,7 +104,8 @@ class DocumentError(DmframeError):
 class UnknownNameError(DmframeError, KeyError):
     """An unknown name of a block type, a parameter, a key, a graph or a signal.
 
-    Without `spelling` the message lists all choices and suggests none of them. `others` replaces a list of all choices.
+    Without `spelling` the message lists all choices, and suggests one only if it differs in upper and lower case.
+    `others` replaces a list of all choices.
     """
 
     def __init__(
@@ -115,7 +120,8 @@ class UnknownNameError(DmframeError, KeyError):
         **place: object,
     ) -> None:
         self.name, self.choices = name, tuple(sorted(choices))
-        hint = nearest(name if spelling else "", self.choices)
+        same = name.casefold() in map(str.casefold, self.choices)
+        hint = nearest(name if spelling or same else "", self.choices)
         hint = others if others and not hint.startswith("did you mean") else hint
         super().__init__(f"{where}: unknown {kind}; {hint}", **place)  # type: ignore[arg-type]  # as DmframeError takes it
 

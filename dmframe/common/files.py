@@ -15,6 +15,8 @@ from dmframe.common.errors import OutputError
 
 FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)
 EXISTS: Final = "exists already; choose a new file"
+ROBOT_FILES: Final = (".urdf", ".xacro", ".xml", ".mjcf")
+"""Endings of the names of robot files."""
 
 
 def encoded(text: str) -> bytes:

@@ -160,5 +160,7 @@ def sentence(template: str, **given: Piece) -> Text:
 
 V: Final = name_of("V")
 DV: Final = Written("dV/dt", unicode_name("V", "dot"), r"\dot V")
+DISSIPATION: Final = "the dissipation"
+"""What dV/dt equals with the opposite sign; the name of the sum of its terms."""
 KAPPA: Final = name_of("kappa")
 UNNAMED: Final = Text()

@@ -22,14 +22,20 @@ UNSTABLE: Final = 2.0
 """Product of a rate and the sampling period from which on x - T k x overshoots by more than x."""
 
 
+def doubt_of_period(period: float, key: str = "") -> str:
+    """The sampling period [s] with the plausible range, and what was probably meant; empty for a plausible one."""
+    least, most = CLOCK
+    if least <= period <= most:
+        return ""
+    meant = f"; for {period:g} ms write `{key}{period:g} ms`" if least <= period / 1000 <= most else ""
+    return f"{plain(period, 's')}, expected {plain(least, 's')} to {plain(most, 's')}{meant}"
+
+
 def implausible(graph: BaseGraph) -> tuple[str, ...]:
     """Remarks on times and rates of the graph outside of plausible ranges, each with its range."""
-    clock, (least, most) = graph.clock, CLOCK
-    found = list[str]()
-    if clock is not None and not least <= clock <= most:
-        where = f"expected {plain(least, 's')} to {plain(most, 's')}"
-        meant = f"; for {clock:g} ms write `clock: {clock:g} ms`" if least <= clock / 1000 <= most else ""
-        found.append(f"clock is {plain(clock, 's')}, {where}{meant}")
+    clock, found = graph.clock, list[str]()
+    if clock is not None and (doubt := doubt_of_period(clock, "clock: ")):
+        found.append(f"clock is {doubt}")
         clock = None  # its products would repeat the remark
     if graph.duration > DURATION:
         found.append(f"duration is {plain(graph.duration, 's')}, {graph.duration / 86400:.3g} days")

@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.common.errors import RobotError, listed
+from dmframe.common.files import ROBOT_FILES
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
-from dmframe.robot.convert import FORMATS, Element, joints_to, read_any, written
+from dmframe.robot.convert import Element, joints_to, read_any, written
 from dmframe.robot.flange import AXES, MOVING, flange_of
 from dmframe.robot.library import find_robot, load, robots
-from dmframe.robot.repairs import impossible_inertias, repaired
+from dmframe.robot.repairs import implausible_values, impossible_inertias, repaired
 from dmframe.robot.urdf import check_parts
 from dmframe.robot.urdf_numbers import faults_of_tree
 
@@ -78,7 +79,7 @@ class FirstGraph:
 
 def is_robot(name: str) -> bool:
     """True for the name of a packaged robot, or a file of a robot."""
-    return name.lower().endswith(FORMATS) or name in robots()
+    return name.lower().endswith(ROBOT_FILES) or name in robots()
 
 
 def first_graph(
@@ -107,7 +108,7 @@ def first_graph(
         The file cannot be read, or the robot is not an arm of so many axes.
     """
     hold = dict(hold or {})
-    if not name.lower().endswith(FORMATS):
+    if not name.lower().endswith(ROBOT_FILES):
         chain = load(name, tool=tool, hold=hold)
         return FirstGraph(_text(chain, name, tool, hold, {}), {}, ())
     path = Path(name).expanduser()
@@ -137,7 +138,7 @@ def first_graph(
     rotor = {joint: value for joint, value in file.armature.items() if joint in chain.joint_names}
     said = [f"tool: {frame}"] if tool is None else []
     said += _still(file.root, chain, hold)
-    said += impossible_inertias(file.root, frame)
+    said += [*_unused(file.root, frame), *impossible_inertias(file.root, frame), *implausible_values(file.root, frame)]
     if rotor:
         said.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
     return FirstGraph(
@@ -153,6 +154,16 @@ def _still(root: Element, chain: SerialChain, hold: Mapping[str, float]) -> list
         if joint.get("type") in MOVING and joint.get("name") not in {*chain.joint_names, *hold}
     ]
     return [f"held at 0, since they are not between base and tool: {listed(names)}"] if names else []
+
+
+def _unused(root: Element, frame: str) -> list[str]:
+    """That an arm ends before a joint that is neither turning nor sliding."""
+    return [
+        f"joint {joint.get('name', '')} of type {joint.get('type', '')} is not part of the arm: expected revolute, "
+        "continuous or prismatic"
+        for joint in root.findall("joint")
+        if joint.get("type") not in (*MOVING, "fixed") and joint not in joints_to(root, frame)
+    ]
 
 
 def _check_axes(root: Element, frame: str, hold: Mapping[str, float], where: str, axes: tuple[int, int]) -> None:

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from dmframe.catalogue import find_guide
-from dmframe.common.errors import UnknownNameError
+from dmframe.common.errors import UnknownNameError, ValueFault
 from dmframe.common.units import seconds
 from dmframe.config.document import read_file
+from dmframe.config.plausible import doubt_of_period
 
 PERIOD: Final = "period"
 """The question whose answer is a time; its conditions name a class of periods, short or long."""
@@ -37,7 +38,8 @@ class Question:
     def checked(self, answer: str) -> str:
         """The answer, if it is one. Raises `UnknownNameError` or `ValueFault`."""
         if not self.choices:
-            seconds(f"--{self.key}", answer)
+            if doubt := doubt_of_period(seconds(f"--{self.key}", answer)):
+                raise ValueFault(f"--{self.key} {answer}: {doubt}")
         elif answer not in self.choices:
             raise UnknownNameError(f"--{self.key} {answer}", "answer", answer, self.choices)
         return answer

@@ -151,20 +151,39 @@ def _clock(t: Array, refuse: Refuse) -> None:
         )
 
 
+SAME_UNIT: Final = 0.3
+"""Relative deviation of a ratio of positions and commands from that of two units."""
+
+
 def _units(t: Array, q: Array, u: Array, chain: SerialChain, refuse: Refuse) -> None:
     """Compare speeds and ranges with the limits of the robot's file."""
     speed = np.max(np.abs(u), axis=0)
     for j, joint in enumerate(chain.joints):
         limit = joint.velocity if 0 < joint.velocity < np.inf else 10.0
         span = 7.0 if joint.kind == "revolute" else 20.0
-        unit = "degrees; divide by 57.29578" if joint.kind == "revolute" else "mm; divide by 1000"
         far = float(np.max(np.abs(q[:, j])))
         beyond = [name for name, bad in (("positions", far > span), ("commands", speed[j] > 2 * limit)) if bad]
         if beyond:
+            moved, commanded = np.ptp(q[:, j]), np.ptp(np.cumsum(u[: len(t) - 1, j] * np.diff(t)[: len(u)]))
+            largest = max(far / span, speed[j] / (2 * limit))
+            unit = _unit(joint.kind, float(moved / commanded) if moved and commanded else 1.0, float(largest))
             raise refuse(
                 f"joint {j + 1}: positions reach {far:.3g} and commands {speed[j]:.3g} per s: "
                 f"{' and '.join(beyond)} are beyond the robot's limits, and seem to be in {unit}"
             )
+
+
+def _unit(kind: str, ratio: float, largest: float) -> str:
+    """The unit that one or both of positions and commands probably have, with the divisor.
+
+    `ratio` is how many times as far as commanded the positions move: a unit that only one of them has. Of both the
+    unit is the first in which the `largest` value, relative to its limit, is allowed.
+    """
+    units = [("degrees", 57.29578), ("mrad", 1000.0)] if kind == "revolute" else [("mm", 1000.0)]
+    by_ratio = [unit for unit in units if any(abs(each / unit[1] - 1) < SAME_UNIT for each in (ratio, 1 / ratio))]
+    allowed = [unit for unit in units if largest <= unit[1]]
+    name, factor = [*by_ratio, *allowed, units[-1]][0]
+    return f"{name}; divide by {factor:.7g}"
 
 
 def _excited(t: Array, q: Array, u: Array, refuse: Refuse) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import shlex
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -12,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from dmframe.catalogue import graphs
-from dmframe.common.errors import ValueFault
+from dmframe.common.errors import DmframeError, ValueFault
 from dmframe.common.version import version
 from dmframe.identification.built import built
 from dmframe.identification.checked import Checked, checked_log
@@ -28,6 +29,8 @@ from dmframe.identification.twin import Twins, twins_of
 from dmframe.identification.verdict import with_verdict
 from dmframe.identification.write import set_aside, written
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.convert import read_any
+from dmframe.robot.flange import flange_of
 from dmframe.robot.library import load
 
 FAR: Final = 3.0
@@ -152,7 +155,10 @@ def estimated(limits: tuple[Limit, ...], fit: Fit) -> tuple[Limit, ...]:
 
 
 def chain_of(robot: str) -> SerialChain:
-    """The chain of a robot's name, a URDF file, or a graph: a file or a packaged one."""
+    """The chain of a robot's name, a URDF file, or a graph: a file or a packaged one.
+
+    The chain of a URDF file ends at the flange, before the fingers of a gripper, as in a graph that `new` writes.
+    """
     if robot.endswith((".yaml", ".yml")) or robot in graphs():
         from dmframe.graph.graph import Graph
 
@@ -160,7 +166,11 @@ def chain_of(robot: str) -> SerialChain:
         if not isinstance(chain, SerialChain):
             raise ValueFault(f"{robot}: expected a graph with a robot, found none")
         return chain
-    return load(robot, base=Path())
+    tool = None
+    if robot.lower().endswith(".urdf"):
+        with suppress(DmframeError):  # `load` reports a file that cannot be read, or a robot with several arms
+            tool = flange_of(read_any(Path(robot).expanduser()).root, robot)
+    return load(robot, base=Path(), tool=tool)
 
 
 def _doubts(found: Identified) -> Iterator[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dmframe.block.port import Side
 from dmframe.catalogue import find_graph, graphs
-from dmframe.common.errors import UnknownNameError, ValueFault
+from dmframe.common.errors import LISTS, UnknownNameError, ValueFault
 from dmframe.drive.drive import start_angles
 from dmframe.graph.first import first_graph, is_robot
 from dmframe.graph.graph import Graph
@@ -84,7 +84,7 @@ def subject_of(name: str) -> Subject:
     if name.endswith((".yaml", ".yml")) or name in graphs():
         return _of_graph(name, Graph.read(name), find_graph(name).parent, {}, None, own=True)
     if not is_robot(name):
-        raise UnknownNameError(name, "graph or robot", name, sorted({*graphs(), *robots()}), spelling=False)
+        raise UnknownNameError(name, "graph or robot", name, {*graphs(), *robots()}, spelling=False, others=LISTS)
     with tempfile.TemporaryDirectory() as place:
         made = first_graph(name, Path(place))
         for model, text in made.robot.items():

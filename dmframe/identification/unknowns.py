@@ -23,6 +23,8 @@ SERVOS: Final[Mapping[str, tuple[str, ...]]] = {
 
 SLOWEST: Final = 0.05
 """Smallest gain at which a candidate starts [1/s]."""
+LEAST: Final = 1e-6
+"""Standard deviation of an inertial parameter that is zero in the robot's file [kg, kg m, kg m^2]."""
 SPREAD: Final = 0.3
 """Standard deviation of a link's mass relative to that of the robot's file."""
 LOAD: Final = 3.0
@@ -90,14 +92,15 @@ class Unknowns:
         """Square root L of the prior covariance of the base parameters, (count, count): beta = center + L z."""
         root = self.model.grouping @ self.full
         covariance = root @ root.T
-        return np.linalg.cholesky(covariance + 1e-6 * np.diag(np.diag(covariance) + 1e-6))
+        return np.linalg.cholesky(covariance + 1e-6 * np.diag(np.diag(covariance)))
 
     @cached_property
     def full(self) -> Array:
         """Square root of the prior covariance of all parameters: links, the tool's load, rotors."""
         parameters = self.model.base.parameters
         values = np.array([0.0 if value is None else float(value) for value in parameters.values])
-        columns = [np.diag(0.1 * np.abs(values))]
+        # a parameter that is zero in the file may differ from it: else no bodies would have the fitted base parameters
+        columns = [np.diag(np.maximum(0.1 * np.abs(values), LEAST))]
         for link in range(self.model.n):
             column = np.zeros(len(values))
             column[parameters.of_link(link)] = SPREAD * values[parameters.of_link(link)]

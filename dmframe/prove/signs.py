@@ -16,7 +16,7 @@ from dmframe.prove.definite import pivots
 Numbers = Mapping[str, Sequence[Fraction]]
 """Values of the parameters, by label."""
 
-ROLES: Final = (("stored", "V", True), ("dissipation", "D V", False))
+ROLES: Final = (("stored", "V", True), ("dissipation", "the dissipation", False))
 """Terms whose weights have a sign, the quantity that contains them, and whether the weight must be positive."""
 
 

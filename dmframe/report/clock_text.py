@@ -40,6 +40,8 @@ def clock_text(proof: ClockProof) -> str:
                 f"linearised at its set-point, a storage function falls for all intervals up to {limit}, equal or not; "
                 "this is about the linearisation"
             )
+        if proof.linearised_reason:
+            lines.append(f"linearised at its set-point it has no such interval: {proof.linearised_reason}")
     first, *rest = lines
     return "\n".join([_wrap(first, "  "), *(_wrap(line, "    ") for line in rest)])
 

@@ -22,10 +22,17 @@ WIDEST: Final = 116
 NORMS: Final = {"rms": "root mean square of |{}|", "sup": "largest |{}|"}
 
 
-def verdict_text(name: str, verdict: Verdict, *, times: bool = True, notices: Sequence[str] = ()) -> str:
-    """Terminal page; `name` is the name of the graph, and `notices` are printed below the headline."""
+def verdict_text(
+    name: str, verdict: Verdict, *, times: bool = True, notices: Sequence[str] = (), clock: float | None = None
+) -> str:
+    """Terminal page; `name` is the name of the graph, and `notices` are printed below the headline.
+
+    `clock` is its sampling period [s], which a proof in continuous time does not cover.
+    """
     parts = [f"{name}: {verdict.headline}", *(fill(f"  notice: {text}", **_wrapped()) for text in notices)]
     parts.append(fill(f"  {verdict.reason.unicode}", **_wrapped()))
+    if clock is not None and verdict.flow_claim is not None and verdict.outcome == "proved":
+        parts.append(f"  in continuous time: sampling every {plain(clock, 's')} is not covered; see `dmframe analyse`")
     if verdict.claim is not None:
         parts.append(f"  model {short(verdict.claim.diagram.fingerprint)}: runs, exports and pages store this hash")
     if verdict.test is not None and verdict.test.zero:

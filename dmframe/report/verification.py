@@ -145,7 +145,7 @@ class Verification(AboutGraph):
         return _restored, (self.graph, verdict, self.seed, self.label, self.sampling)
 
     def __str__(self) -> str:
-        text = verdict_text(self.name, self.verdict, notices=self.notices)
+        text = verdict_text(self.name, self.verdict, notices=self.notices, clock=self.graph.clock)
         if self.sampling is not None:
             text = f"{text}\n{clock_text(self.sampling)}"
         return f"{text}\n  {self._advice}" if self._advice else text

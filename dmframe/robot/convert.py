@@ -25,7 +25,6 @@ Element = ElementTree.Element
 
 BASE: Final = "mjcf_world"
 """Link of an MJCF file's world."""
-FORMATS: Final = (".urdf", ".xacro", ".xml", ".mjcf")
 
 
 @final

@@ -15,7 +15,7 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Any, final
 
-from dmframe.common.errors import RobotError, UnknownNameError
+from dmframe.common.errors import RobotError, UnknownNameError, ValueFault
 from dmframe.common.files import probed
 from dmframe.robot.chain import SerialChain
 
@@ -116,6 +116,9 @@ def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
         path = local if local.is_file() else path
         return RobotSource(name=path.stem, urdf=path, folder=path.parent)
     known = robots()
+    if name_or_path.endswith((".yaml", ".yml")):
+        text = f"robot {name_or_path}: expected the name or the file of a robot, found a graph; name its robot"
+        raise ValueFault(text, path=MODEL_PATH)
     if name_or_path not in known:
         # no suggestion: another robot is not a misspelling of this one
         raise UnknownNameError(f"robot {name_or_path}", "robot", name_or_path, known, path=MODEL_PATH, spelling=False)

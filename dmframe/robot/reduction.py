@@ -13,6 +13,8 @@ from dmframe.common.errors import RobotError, UnknownNameError, ValueFault
 from dmframe.robot.mimics import Mimic, with_mimics
 
 TOOL_FRAME = "dmframe_tool"
+MOST_DEGREES: Final = 720.0
+"""Largest number outside of a joint's limits that may be meant in degrees."""
 FARTHEST = 1e100
 """Tool coordinates from this size on overflow in products. [m]"""
 
@@ -99,7 +101,13 @@ def _check_kinds(
             )
         subspace = motion_subspace(joint)
         if name in hold:
-            _check_unit(where, name, hold[name], "rad" if np.any(subspace[3:]) else "m")
+            unit = "rad" if np.any(subspace[3:]) else "m"
+            _check_unit(where, name, hold[name], unit)
+            if joint.nq == 1:  # a continuous joint has two coordinates and no limits
+                place = joint.idx_q
+                _check_range(
+                    where, name, hold[name], (model.lowerPositionLimit[place], model.upperPositionLimit[place]), unit
+                )
         if name in kept and np.any(subspace[:3]) and np.any(subspace[3:]):
             raise RobotError(
                 f"{where}: joint {name} is of type {kind}; expected a free joint to be revolute or prismatic; "
@@ -123,6 +131,20 @@ def _check_unit(where: str, name: str, value: float, unit: str) -> None:
         )
 
 
+def _check_range(where: str, name: str, value: float, limits: tuple[float, float], unit: str) -> None:
+    """Check that a joint is held inside of its limits, outside of which a number in degrees is."""
+    low, high = limits
+    room = 1e-6 * (high - low)
+    if low - room <= value <= high + room or not low < high:
+        return
+    degrees = f"; for degrees write {float(value):.6g} deg" if unit == "rad" and abs(value) <= MOST_DEGREES else ""
+    raise ValueFault(
+        f"{where}: hold: joint {name}: expected a position from {low:.6g} to {high:.6g} {unit}, its limits, found "
+        f"{float(value):.6g} {unit}{degrees}",
+        path=("robot", "hold", name),
+    )
+
+
 def _between_base_and_tool(model: Any, where: str, tool: str | Sequence[float] | None) -> set[str]:
     """Joints between the base and the tool's frame, or of the only chain."""
     if isinstance(tool, str):
@@ -132,7 +154,8 @@ def _between_base_and_tool(model: Any, where: str, tool: str | Sequence[float] |
         if len(leaves) > 1:
             ends = ", ".join(model.names[i] for i in leaves)
             raise RobotError(
-                f"{where}: has {len(leaves)} chains, which end in {ends}; name a tool or the free joints",
+                f"{where}: has {len(leaves)} chains, which end in {ends}; name a tool or the free joints in a graph, "
+                "which `dmframe new` writes",
                 path=("robot", "tool"),
             )
         index = leaves[0] if leaves else 0

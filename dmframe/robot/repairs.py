@@ -19,6 +19,10 @@ DENSITY: Final = 5.0
 """Placeholder mass of a link per length [kg/m]."""
 LEAST: Final = 0.5
 """Least placeholder mass of a link [kg]."""
+DENSEST: Final = 22590.0
+"""Density of the densest metal, osmium [kg/m^3]."""
+MOST_ANGLE: Final = 40.0
+"""Largest plausible limit of a revolute joint [rad], 6 turns; a limit in degrees is larger."""
 UNLIMITED: Final = "1e9"
 """Value of a velocity or effort that means no limit [SI units]."""
 STROKE: Final = 0.5
@@ -55,6 +59,35 @@ def impossible_inertias(root: Element, tool: str) -> Iterator[str]:
                     f"{most:.3g} kg m^2: the largest exceeds the sum of the others; correct them in the file, since "
                     "dmframe verify cannot prove M(q) > 0 with them"
                 )
+
+
+def implausible_values(root: Element, tool: str) -> Iterator[str]:
+    """Notices of values between the base and `tool` that seem to have another unit: limits and masses.
+
+    The integral J of the density times the squared distance from the centre of mass is half of the trace of the
+    inertia. Of all bodies of mass m whose density is at most `DENSEST`, a ball of that density has the least J.
+    """
+    way = joints_to(root, tool)
+    for joint in way:
+        limit = joint.find("limit")
+        if joint.get("type") == "revolute" and limit is not None:
+            low, high = (_value(limit.get(key, "0")) for key in ("lower", "upper"))
+            if max(abs(low), abs(high)) > MOST_ANGLE:
+                yield (
+                    f"joint {joint.get('name', '')}: limits of {low:g} and {high:g} rad, {(high - low) / math.tau:.0f} "
+                    "turns; a URDF has radians: correct the file if they are degrees"
+                )
+    moved = {_end(joint, "child") for joint in way}
+    for link in root.findall("link"):
+        mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+        if link.get("name", "") not in moved or mass is None or inertia is None:
+            continue
+        m, J = _value(mass.get("value", "0")), sum(_value(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz")) / 2
+        if 0 < J < 0.6 * m * (3 * m / (4 * math.pi * DENSEST)) ** (2 / 3):
+            yield (
+                f"link {link.get('name', '')}: no body of {m:.4g} kg has moments of inertia as small, {2 * J:.3g} "
+                "kg m^2 in sum: check the units of both, kg and kg m^2"
+            )
 
 
 def _without_faults(root: Element, way: list[Element], tool: str, where: str) -> Iterator[str]:

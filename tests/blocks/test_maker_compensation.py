@@ -93,7 +93,7 @@ def test_a_manufacturer_that_compensates_more_friction_than_servo_and_joints_hav
     verdict = proof(["arm.maker_viscous=[1000, 4, 1.6]"])
     assert verdict.outcome == "not_applicable"
     assert "a condition fails" in verdict.reason
-    assert "in dV/dt" in verdict.reason
+    assert "in the dissipation" in verdict.reason
 
 
 def test_the_servo_starts_with_the_gravity_that_is_left_to_it() -> None:

@@ -64,7 +64,8 @@ def test_a_cascade_on_a_tied_position_is_not_paid_for_at_the_boundary_and_is_jus
     assert verdict.outcome == "not_applicable"
     assert M_bar(verdict) == 0
     assert failing(verdict) == [
-        "the servo level dominates the cascade's cross term; missing is a weight above zero of |q - q_tie|^2 in dV/dt"
+        "the servo level dominates the cascade's cross term; missing is a weight above zero of |q - q_tie|^2 "
+        "in the dissipation"
     ]
     assert proof(tmp_path, generator, "position", 1.01).outcome == "proved"
 

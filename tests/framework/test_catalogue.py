@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from dmframe.catalogue import block_modules, block_types, find_block, find_graph, graphs
-from dmframe.common.errors import BlockError, DmframeError, MissingError, UnknownNameError
+from dmframe.common.errors import BlockError, DmframeError, MissingError, UnknownNameError, ValueFault
 
 BLOCK = """\
 from typing import ClassVar
@@ -70,6 +71,18 @@ def test_a_packaged_graph_is_found_by_name_and_a_file_by_its_path() -> None:
     assert find_graph("some/own.yaml") == Path("some/own.yaml")
     with pytest.raises(UnknownNameError, match="pendulun: unknown graph; did you mean pendulum"):
         find_graph("pendulun")
+
+
+@pytest.mark.parametrize("name", ["ur5e", "arm.urdf", "cell/arm.xacro"])
+def test_a_robot_where_a_graph_is_expected_names_the_command_that_writes_one(name: str) -> None:
+    says = f"{name}: expected a graph, found a robot; `dmframe new {name}` writes a graph of it"
+    with pytest.raises(ValueFault, match=f"^{re.escape(says)}$"):
+        find_graph(name)
+
+
+def test_letters_of_another_case_are_the_spelling_of_a_name() -> None:
+    with pytest.raises(UnknownNameError, match=r"PENDULUM: unknown graph; did you mean pendulum\?$"):
+        find_graph("PENDULUM")
 
 
 def test_a_graph_without_its_ending_names_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

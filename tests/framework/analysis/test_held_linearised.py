@@ -15,10 +15,12 @@ from dmframe.analysis import held_linearised as module
 from dmframe.analysis import linearise, linearised_period
 from dmframe.analysis.held import HeldLoop, held_loop
 from dmframe.analysis.held_linearised import held_linearised, linearised_interval
-from dmframe.analysis.held_storage import find_storage, proved_interval
+from dmframe.analysis.held_proof import prove_clock
+from dmframe.analysis.held_storage import HeldSearch, find_storage, proved_interval
 from dmframe.common.errors import DisagreementError
 from dmframe.exact.ball_matrix import middles
 from dmframe.exact.balls import UndecidedError
+from dmframe.report.clock_text import clock_text
 
 
 @cache
@@ -78,6 +80,20 @@ def test_an_interval_that_floating_point_contradicts_is_withdrawn(monkeypatch: p
     monkeypatch.setattr(module, "find_storage", lambda _: longer)
     with pytest.raises(DisagreementError, match=r"withdrawn: sampled every 0\.9 s, it is unstable in floating point"):
         linearised_interval(graph.diagram, graph.clock, start=graph.start)
+
+
+def test_a_search_without_a_first_solution_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(HeldSearch, "longest", lambda *_: 0.0)
+    for name in ("pd_torque", "joint_tracking_pi"):
+        with pytest.raises(UndecidedError, match="no storage function of the form that is searched falls"):
+            find_storage(loop(name))
+
+
+def test_the_reason_is_printed_where_the_linearisation_has_none() -> None:
+    graph = dm.load("slotine_li").set({"dynamics.leak": 0.1})
+    found = replace(prove_clock(graph.diagram, graph.clock, start=graph.start), linearised=None)
+    text = clock_text(replace(found, linearised_reason="too many"))
+    assert "linearised at its set-point it has no such interval: too many" in text
 
 
 def test_sampled_laws_and_many_held_signals_have_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -143,6 +143,12 @@ def test_a_sampled_condition_is_reported_as_sampled_and_not_proved() -> None:
     assert row.status == "sampled, not proved"
 
 
+def test_a_proof_in_continuous_time_names_the_sampling_below_the_headline() -> None:
+    says = "in continuous time: sampling every 2 ms is not covered; see `dmframe analyse`"
+    assert str(Graph.read("arm2_joint").verify()).splitlines()[2].strip() == says
+    assert "is not covered" not in str(Graph.read("pendulum").verify())  # in continuous time
+
+
 EXTREMES = ["1e308", "5e-324", "-0.0", ".nan", ".inf"]
 PLACES = {
     "theorem_1": ("path.radius",),

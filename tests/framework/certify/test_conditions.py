@@ -339,7 +339,7 @@ def test_a_matrix_of_weights_is_decided_by_its_own_factors(role: str) -> None:
     assert good.outcome == "proved"
     bad = weighing(lambda u: ca.SX([[0.5, 0.6], [0.6, 0.5]]), role)
     assert bad.outcome == "not_applicable"
-    where = "V" if role == "storage" else "dV/dt"
+    where = "V" if role == "storage" else "the dissipation"
     assert f"task: weight of |q - q_d|^2 in {where} > 0" in bad.reason
 
 

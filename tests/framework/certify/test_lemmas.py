@@ -81,7 +81,7 @@ def test_a_lemma_with_a_negative_weight_fails_its_condition() -> None:
     checked, _ = conditions_of(claim, Numbers(claim, {}))
     (failing,) = (item for item in checked if not item.holds)
     assert failing.name.startswith("dynamics: weight of ")
-    assert failing.name.endswith(" in dV/dt >= 0")
+    assert failing.name.endswith(" in the dissipation >= 0")
     assert failing.value == -3
 
 

@@ -73,6 +73,7 @@ def test_without_a_terminal_missing_answers_are_listed(dmframe: Any) -> None:
     [
         (("--servo", "stif"), "--servo stif: unknown answer; did you mean stiff?"),
         (("--period", "8 kg"), "--period 8 kg: expected a quantity in s"),
+        (("--period", "8"), "--period 8: 8 s, expected 50 µs to 500 ms; for 8 ms write `8 ms`"),
         (("--period", "-8 ms"), "--period -8 ms: expected a time above zero"),
     ],
 )

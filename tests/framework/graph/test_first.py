@@ -10,7 +10,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.cli.catalogue import new
-from dmframe.common.errors import RobotError, UnknownNameError
+from dmframe.common.errors import DmframeError, RobotError, UnknownNameError
 from dmframe.graph.first import first_graph, is_robot
 from tests.random_chains import random_chain
 
@@ -154,6 +154,32 @@ def test_moments_of_inertia_that_no_body_has_are_noticed_with_the_link(tmp_path)
     path.write_text(re.sub('(l3">.*?)ixx="[^"]*" iyy="[^"]*" izz="[^"]*"', rf"\1{moments}", path.read_text()))
     (note,) = (note for note in first_graph(str(path), tmp_path).notes if "no body" in note)
     assert note.startswith("link l3: no body has its moments of inertia, 0.0001, 0.0528 and 0.153 kg m^2")
+
+
+def test_limits_in_degrees_and_masses_in_grams_are_noticed_with_the_element(tmp_path):
+    path = chain_file(tmp_path, "RRRR", 0)
+    text = path.read_text()
+    path.write_text(re.sub('(l3">.*?<mass value=")[^"]*', r"\g<1>8400", text).replace("2.5", "360", 2))
+    limits, mass = (note for note in first_graph(str(path), tmp_path).notes if "j1" in note or "l3" in note)
+    assert limits.startswith("joint j1: limits of -360 and 360 rad, 115 turns; a URDF has radians")
+    assert mass.startswith("link l3: no body of 8400 kg has moments of inertia as small")
+
+
+def test_a_joint_at_which_the_arm_ends_is_noticed(tmp_path):
+    path = chain_file(tmp_path, "RRRRR", 0)
+    path.write_text(re.sub('(name="j5" type=")revolute', r"\1planar", path.read_text()))
+    (note,) = (note for note in first_graph(str(path), tmp_path).notes if "planar" in note)
+    assert note == "joint j5 of type planar is not part of the arm: expected revolute, continuous or prismatic"
+
+
+def test_a_joint_is_held_inside_its_limits(tmp_path):
+    path = chain_file(tmp_path, "RRRRR", 0)
+    says = (
+        "hold: joint j2: expected a position from -2.5 to 2.5 rad, its limits, found 90 rad; for degrees write 90 deg"
+    )
+    with pytest.raises(DmframeError, match=says):
+        first_graph(str(path), tmp_path, hold={"j2": 90.0})
+    assert first_graph(str(path), tmp_path, hold={"j2": 2.5}).text
 
 
 def test_a_joint_that_floats_is_named_as_in_the_file(tmp_path):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.identification.built import built, moved
+from dmframe.identification.built import SAME, built, moved
 from dmframe.identification.choose import Choice, floor_of
-from dmframe.identification.drawn import Plant, buildable, held_covariance, thetas
+from dmframe.identification.drawn import Plant, bodies_of, buildable, held_covariance, thetas
 from dmframe.identification.found import Identified
 from dmframe.identification.log import Log
 from dmframe.identification.model import model_of
@@ -117,6 +117,20 @@ def test_no_twin_is_written_if_no_physical_bodies_explain_the_log(tmp_path: Path
     assert not (tmp_path / "twin.urdf").exists()
     assert "dmframe run twin.yaml" not in as_html(found)
     assert "no twin" in not_applicable(found)
+
+
+def test_bodies_have_a_base_parameter_that_is_zero_in_the_robots_file() -> None:
+    model = model_of(dm.load("arm2_joint").diagram.robot)
+    log = Log(0.008 * np.arange(3), np.zeros((3, 2)), np.zeros((2, 2)), np.zeros(2))
+    unknowns = Unknowns(model, log, "pid")
+    zero = np.isclose(model.nominal, 0, atol=1e-12)
+    assert zero.any()  # the links are symmetric about their axes
+    beta = unknowns.center + 3e-9 * zero  # a deviation that the log of a symmetric link has
+    bodies, rotors = bodies_of(unknowns, beta)
+    values = np.zeros(model.base.parameters.size)
+    values[model.base.parameters.inertial], values[model.base.parameters.places("rotor")] = bodies.ravel(), rotors
+    assert buildable(values, model.base.parameters)
+    assert np.linalg.solve(unknowns.bodies, model.grouping @ values - beta) == pytest.approx(0, abs=SAME)
 
 
 def test_physical_base_parameters_are_kept() -> None:

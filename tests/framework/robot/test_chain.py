@@ -269,9 +269,11 @@ def test_free_joints_that_branch_at_the_base_are_reported(fork):
 
 def test_several_chains_without_a_tool_ask_for_one(fork):
     error = fault(fork)
-    check(
-        error, RobotError, "robot arm: has 2 chains, which end in left, right; name a tool or the free joints", "tool"
+    text = (
+        "robot arm: has 2 chains, which end in left, right; name a tool or the free joints in a graph, which "
+        "`dmframe new` writes"
     )
+    check(error, RobotError, text, "tool")
 
 
 def test_a_chain_needs_a_free_joint():

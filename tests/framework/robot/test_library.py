@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.common.errors import DmframeError, MissingError, RobotError, UnknownNameError
+from dmframe.common.errors import DmframeError, MissingError, RobotError, UnknownNameError, ValueFault
 from dmframe.robot import library
 from dmframe.robot.library import find_robot, load, robots, robots_in
 
@@ -40,12 +40,19 @@ def test_a_source_states_its_defaults():
     assert source.urdf.is_file()
 
 
-@pytest.mark.parametrize("name", ["ur11", "ur20", "panda2", "UR10"])
+@pytest.mark.parametrize("name", ["ur11", "ur20", "panda2"])
 def test_an_unknown_robot_is_never_taken_for_the_spelling_of_another_one(name):
     with pytest.raises(UnknownNameError) as caught:
         find_robot(name)
     assert str(caught.value) == f"robot {name}: unknown robot; choose from {', '.join(robots())}"
     assert caught.value.path == ("robot", "model")
+
+
+def test_letters_of_another_case_and_a_graph_have_a_hint() -> None:
+    with pytest.raises(UnknownNameError, match=r"robot UR10: unknown robot; did you mean ur10\?$"):
+        find_robot("UR10")
+    with pytest.raises(ValueFault, match=r"robot mine\.yaml: expected the name or the file of a robot, found a graph"):
+        find_robot("mine.yaml")
 
 
 def test_a_path_is_relative_to_the_graph_before_the_current_folder(tmp_path, monkeypatch):
