@@ -232,7 +232,7 @@ def _neighbours(folder: Path) -> list[str]:
 
 
 def _kind(value: object) -> str:
-    nouns = {dict: "a mapping", list: "a list"}
+    nouns: dict[type, str] = {dict: "a mapping", list: "a list"}
     return nouns.get(type(value)) or f"the value {shorten(str(value), 30)}"
 
 
