@@ -68,6 +68,8 @@ class DelayProbe(AbstractBlock):
     `lasting`. The new delay is longer by at least one sample, and the scale does not become smaller. With a delay that
     would be longer than `delay_up_to`, or a last sum that does not reach the threshold, it remains unknown; in the
     first case the excitation ends too. So a loop that diverges with the delay is left, at most delay_up_to + 1 times.
+    The mean is held during the first `blanking` after the identification: a trial of `expert_aggregation` moves the
+    tool.
 
     It trips as well if the mean of the period over about 25 samples becomes more than 2.5 times as long or as short as
     when the delay was identified, for example since the operator slows the robot down: the servo then responds in other
@@ -102,6 +104,8 @@ class DelayProbe(AbstractBlock):
         Largest error, relative to that at the end of the excitation.
     dwell : scalar, s, > 0
         Time over which the error is averaged, with the trip.
+    blanking : scalar, s, >= 0
+        Time after the identification in which the trip ignores the error: at least that of the trial, if there is one.
 
     Notes
     -----
@@ -159,6 +163,7 @@ class DelayProbe(AbstractBlock):
     watched: Literal["tool", "joints"] = "tool"
     trip: Scalar = Positive(default=3.0)
     dwell: Scalar = Positive("", "s", default=1.0)
+    blanking: Scalar = NonNegative("", "s", default=0.0)
 
     @model_validator(mode="after")
     def _fits(self) -> DelayProbe:
@@ -194,6 +199,7 @@ class DelayProbe(AbstractBlock):
         longer = ca.fmax(below, x.delay_least) if self.tripping else below
         goes_on = x.delay_least <= self.delay_up_to if self.tripping else 1
         ends = named("ends", (x.since >= p.lasting) * (below <= self.taps - 1) * goes_on)
+        found = ends * (1 - x.identified)
         tripped, watched = self._watched(u, x, p, counts, ends)
         excitation = (1 - x.identified) * goes_on * p.probe * sign(x.draw)
         return Equations(
@@ -206,7 +212,7 @@ class DelayProbe(AbstractBlock):
             next={
                 DELAY_HAT.name: ca.if_else(x.identified > 0.5, x.delay_hat, ends * ca.fmin(longer, self.delay_up_to)),
                 IDENTIFIED.name: ca.fmax(x.identified, ends) * (1 - tripped),
-                "since": (1 - tripped) * (x.since + u.T),
+                "since": (1 - tripped) * (1 - found) * (x.since + u.T),
                 "draw": following(x.draw),
                 "q_before": u.q,
                 "v_before": v,
@@ -223,7 +229,7 @@ class DelayProbe(AbstractBlock):
         """Whether the trip acts, and its states."""
         if not self.tripping:
             return 0, {}
-        share = ca.fmax(counts, x.identified) * ca.fmin(1, u.T / p.dwell)
+        share = ca.fmax(counts, x.identified * (x.since >= p.blanking)) * ca.fmin(1, u.T / p.dwell)
         error = u.x_err if self.watched == "tool" else u.q_err
         mean = named("mean_new", x.error_mean + share * (ca.sumsqr(error) - x.error_mean))
         period = named("period_new", x.period_mean + (u.T - x.period_mean) / PERIODS)

@@ -20,6 +20,7 @@ import secrets
 import sys
 from fractions import Fraction
 from functools import partial
+from itertools import accumulate
 from math import ceil, log2
 from types import SimpleNamespace
 
@@ -234,8 +235,8 @@ def flat(rows):
     return [x for row in rows for x in row]
 
 
-def unit(n, zero=0, one=1):
-    return [[one if i == k else zero for i in range(n)] for k in range(n)]
+def unit(n):
+    return [[int(i == k) for i in range(n)] for k in range(n)]
 
 
 def matrix(elements, rows):
@@ -342,9 +343,8 @@ class Certificate:
         need(not (self.samples and (self.robots or self.stable or self.ranks)), "a rule that is unknown over a sample")
         need(any(term.role == "stored" for term in self.terms), "V has no term")
         self.one_meaning()
-        for item in self.stable:
-            n = len(item.vector)
-            need({len(item.weight), len(item.loss)} <= {n, n * n}, "a linear equation: its sizes")
+        sizes = [(len(x.vector), {len(x.weight), len(x.loss)}) for x in self.stable]
+        need(all(own <= {n, n * n} for n, own in sizes), "a linear equation: its sizes")
         corrections = [x for term in self.terms if term.rule == "projected" for x in term.parts.correction]
         need(self.samples or len({*corrections}) == len(corrections), "a correction occurs twice")
         for node, rate in self.rates.items():
@@ -360,10 +360,9 @@ class Certificate:
         names += [("signal", label, nodes) for label, nodes in self.symbols.items()]
         names += [("signal", x.signal, x.vector) for x in self.conclusions if x.vector]
         names += [("matrix", x.name, x.matrix) for x in self.ranks]
-        for k, term in enumerate(self.terms):
-            if term.rule == "projected":  # over samples, several steps may end in one box
-                part = term.parts
-                names.append(("box", term.name, [part.true, part.lower, part.upper] if self.samples else k))
+        boxed = [(k, x.name, x.parts) for k, x in enumerate(self.terms) if x.rule == "projected"]
+        # over samples, several steps may end in one box
+        names += [("box", text, [x.true, x.lower, x.upper] if self.samples else k) for k, text, x in boxed]
         known = {}
         for kind, name, meaning in names:
             need(known.setdefault((kind, name), meaning) == meaning, f"{name}: a {kind} of two meanings")
@@ -512,7 +511,7 @@ def robot(of, item):
     its points r = (x, y, z, 1). By d'Alembert's principle, the force of joint j is sum_i tr(dT_i/dq_j S_i (d2T_i/dt2 -
     gravity)').
     """
-    q, T, frames = of.symbols[item.position], unit(4, ZERO, ONE), []
+    q, places = of.symbols[item.position], []
     speeds = of.sure_rate(q)
     states = {x for x in q + speeds if of.kind(x) == "state"}
     need(len(states) == 2 * len(q), "positions and speeds of the robot: expected states", Refuted)
@@ -529,8 +528,8 @@ def robot(of, item):
         if joint.kind == "prismatic":
             K = [[ZERO, ZERO, ZERO, u] for u in [*joint.axis, ZERO]]
         yield "a joint's motion", minus(slopes(flat(A), x), flat(product(A, K)))
-        T = product(T, A)
-        frames.append(flat(T))
+        places.append(A)
+    frames = list(map(flat, accumulate(places, product)))
     falls = flat([ZERO, ZERO, ZERO, g] for g in [*item.gravity, ZERO])
     accelerations = [minus(of.sure_rate(of.sure_rate(T)), falls) for T in frames]
     for x, ddx, rotor, torque in zip(q, of.sure_rate(speeds), item.rotors, item.torque, strict=True):

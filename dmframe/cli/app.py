@@ -245,8 +245,7 @@ def analyse(
             "--until",
             "--horizon",
             metavar="S",
-            help="Length of the runs in the search for the period.",
-            show_default=HORIZON,
+            help=f"Length of the runs in the search for the period; default: {HORIZON} s.",
         ),
     ] = None,
     rank: Rank = False,
@@ -291,7 +290,7 @@ def analyse(
 def delay(
     graph: OneGraph,
     overrides: Overrides = NOTHING,
-    until: Annotated[str | None, typer.Option(metavar="S", help="Length of the record.", show_default=RECORD)] = None,
+    until: Annotated[str | None, typer.Option(metavar="S", help=f"Length of the record; default: {RECORD} s.")] = None,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:

@@ -85,25 +85,22 @@ Listed = Annotated[bool, typer.Option("--json", help="Print a JSON list.")]
 Rank = Annotated[bool, typer.Option("--rank", help="Instead: kinematic parameters for which J_hat keeps its rank.")]
 Tube = Annotated[
     str | None,
-    typer.Option(
-        metavar="ANGLE", help="With --rank: largest deviation of each joint from its path.", show_default=TUBE
-    ),
+    typer.Option(metavar="ANGLE", help=f"With --rank: largest deviation of each joint from its path; default: {TUBE}."),
 ]
 Least = Annotated[str | None, typer.Option(metavar="C", help="With --rank: required least singular value.")]
-Shape = Annotated[str | None, typer.Option(metavar="SHAPE", help="With --rank: box or ball.", show_default="box")]
+Shape = Annotated[str | None, typer.Option(metavar="SHAPE", help="With --rank: box or ball; default: box.")]
 Centre = Annotated[
     str | None,
-    typer.Option(metavar="AT", help="With --rank: around the true or the initial values.", show_default="truth"),
+    typer.Option(metavar="AT", help="With --rank: around the true or the initial values; default: truth."),
 ]
 Scale = Annotated[
     str | None,
-    typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length.", show_default="uniform"),
+    typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length; default: uniform."),
 ]
 Boxes = Annotated[
     str | None,
     typer.Option(
         metavar="N",
-        help="With --rank: maximum number of boxes; more take longer and find a larger region.",
-        show_default="40000",
+        help="With --rank: maximum number of boxes; more take longer and find a larger region; default: 40000.",
     ),
 ]

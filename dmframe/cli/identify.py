@@ -35,7 +35,7 @@ def identify(
 ) -> int:
     """Identify a closed servo, the delay, friction and base parameters from a log, with intervals.
 
-    Three joints take about 10 s of computing, six about two minutes.
+    Three joints take 10 to 40 s of computing, six about two minutes.
 
     The verdict compares an adaptive law with tuned laws without a model on the identified robot. There is none for
     more than three joints.

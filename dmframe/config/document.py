@@ -29,6 +29,7 @@ from ruamel.yaml.events import (
 )
 
 from dmframe.common.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
+from dmframe.common.files import ROBOT_FILES
 from dmframe.common.units import shorten
 from dmframe.config.scalars import Scalar, plain_scalar
 from dmframe.config.syntax import decimal_comma, plain_words
@@ -191,10 +192,8 @@ def _root_of(text: str, name: str, kind: Kind) -> Node:
     if root is None or root.value is None:
         raise DocumentError(f"expected a {kind.noun}, found nothing; {_begin(kind)}", location=f"{name}:1:1")
     if not isinstance(root.value, dict):
-        raise DocumentError(
-            f"expected a {kind.noun}, keys with their values, found {_kind(root.value)}; {_begin(kind)}",
-            location=f"{name}:{root.line}:{root.column}",
-        )
+        found = f"keys with their values, found {_kind(root.value)}; {_begin(kind, name)}"
+        raise DocumentError(f"expected a {kind.noun}, {found}", location=f"{name}:{root.line}:{root.column}")
     return root
 
 
@@ -203,8 +202,9 @@ def unreadable(letter: str) -> str:
     return f"expected readable text, found the control character U+{ord(letter):04X}; remove it"
 
 
-def _begin(kind: Kind) -> str:
-    return f"a {kind.noun} begins with {kind.begins}"
+def _begin(kind: Kind, name: str = "") -> str:
+    robot = "; `dmframe new` writes a graph of a robot" if name.lower().endswith(ROBOT_FILES) else ""
+    return f"a {kind.noun} begins with {kind.begins}{robot}"
 
 
 def _check_size(count: int, name: str, kind: Kind) -> None:
@@ -232,9 +232,8 @@ def _neighbours(folder: Path) -> list[str]:
 
 
 def _kind(value: object) -> str:
-    if isinstance(value, dict):
-        return "a mapping"
-    return "a list" if isinstance(value, list) else f"the value {shorten(str(value), 30)}"
+    nouns: dict[type, str] = {dict: "a mapping", list: "a list"}
+    return nouns.get(type(value)) or f"the value {shorten(str(value), 30)}"
 
 
 def mapping_of(node: Node) -> dict[str, Any]:

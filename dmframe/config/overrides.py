@@ -88,13 +88,15 @@ def _target(
 ) -> list[str]:
     """The keys of the value that an override sets, or of a `whole` block. A block may be preceded by ``blocks.``."""
     keys, blocks = label.strip().split("."), data.get("blocks")
-    names = list(blocks) if isinstance(blocks, dict) else []
+    inside = blocks if isinstance(blocks, dict) else {}
+    names = list(inside)
     if not equals or not all(keys):
         raise ValueFault(f"{origin}: expected block.parameter=value or key=value")
     if keys[0] in names:
         keys = ["blocks", *keys]
     if keys[0] not in known:
-        raise UnknownNameError(origin, "block or key", keys[0], [*names, *known])
+        holders = [f"{name}.{keys[0]}" for name, own in inside.items() if isinstance(own, dict) and keys[0] in own]
+        raise UnknownNameError(origin, "block or key", keys[0], holders or [*names, *known])
     if keys[0] == "blocks" and len(keys) > 2 and keys[1] not in names:
         raise UnknownNameError(origin, "block", keys[1], names)
     if keys[0] == "blocks" and len(keys) == 2 and whole:

@@ -37,7 +37,7 @@ FAR: Final = 3.0
 """Deviation of an inertial parameter from the robot's file, in standard deviations, above which there is a notice."""
 CLEARLY: Final = 0.1
 """Decrease of the sum of the joints' logarithms of residuals with which another reading of the times is used."""
-EXPECTED: Final = "three joints take about 10 s of computing, six about two minutes"
+EXPECTED: Final = "three joints take 10 to 40 s of computing, six about two minutes"
 UNSURE: Final = 0.35
 """Largest relative standard deviation of a servo's main gain that counts as determined."""
 

@@ -46,16 +46,21 @@ class Obstacles:
         self.chain, self.floor, self.notes = chain, floor, list[str]()
         self.data = chain.model.createData()
         self.geometry: Any = None
+        self.lost = ""  # the first mesh that is missing
         if shapes is not None:
             self._add_shapes(*shapes)
         if self.geometry is None:
-            self.notes.append("self-collision is not checked: the robot's file has no collision shapes that were found")
+            why = f"the mesh {self.lost} was not found" if self.lost else "the robot's file has no collision shapes"
+            self.notes.append(f"self-collision is not checked: {why}")
 
     def _add_shapes(self, root: ElementTree.Element, folder: Path) -> None:
         import pinocchio as pin
 
-        for mesh in root.iter("mesh"):
-            mesh.set("filename", str(_found(mesh.get("filename", ""), folder)))
+        for mesh in root.iterfind(".//collision//mesh"):
+            name = mesh.get("filename", "")
+            place = _found(name, folder)
+            self.lost = self.lost or ("" if place.is_file() else name)
+            mesh.set("filename", str(place))
         text = ElementTree.tostring(root, encoding="unicode")
         try:
             whole = pin.buildModelFromXML(text)

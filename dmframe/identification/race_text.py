@@ -116,6 +116,8 @@ def settings(clock: float, delay: float) -> dict[str, Any]:
         "inverse.average": max(1, round(AVERAGE / clock)),
         "probe.probe": float(f"{min(0.03, 0.45 * 1.3 * clock):.3g}"),
         "probe.taps": taps + longest - usual,
+        "mix.trial": None,  # no square wave on a robot unless its user writes one
+        "inverse.inertia_size": 5,
     }
     return found | {f"{block}.delay_up_to": longest for block in ("task", "probe", "inverse", "mix")}
 

@@ -125,7 +125,9 @@ def _fault(file: Path, text: str, names: list[str], separator: str) -> ValueFaul
             return ValueFault(f"expected {len(names)} cells, as in the header, found {len(line)}", location=where)
         for name, cell in zip(names, line, strict=True):
             if _number(cell) is None:
-                return ValueFault(f"column {name}: expected a number, found {cell!r:.40}", location=where)
+                comma = _number(cell.replace(",", ".", 1)) is not None
+                hint = "; write a decimal point instead of the comma" if comma else ""
+                return ValueFault(f"column {name}: expected a number, found {cell!r:.40}{hint}", location=where)
     return ValueFault("expected rows of numbers", location=str(file))
 
 

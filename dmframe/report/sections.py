@@ -102,7 +102,7 @@ def _witness(r: Content) -> Iterator[Part]:
 
 def _diagram(r: Content, wide: bool) -> list[Part]:
     caption = Marked(
-        "Sources, controller and, behind the wall, servo and robot; the controller reads only their measured signals. "
+        "Sources and controller; right of the dashed line, servo and robot, whose measured signals alone it reads. "
         "`d/dt` marks an input that is the derivative of the one above it."
     )
     picture = Picture(r.picture, "picture", caption, "diagram", wide, Listing(r.mermaid, "mermaid"))

@@ -81,6 +81,21 @@ def test_after_a_trip_the_delay_is_longer_and_the_excitation_ends_beyond_the_lon
         assert float(item.next["identified"]) == excited
 
 
+@pytest.mark.parametrize("blanking", [0.0, 0.48])
+def test_the_trip_ignores_the_error_for_some_time_after_the_identification(blanking: float) -> None:
+    block = KIND(delay_up_to=3, taps=4, tripping=True, blanking=blanking, lasting=1.0, settling=0.0)
+    u = {"q": [0.3, 0.4], "dq_r": [0.0, 0.0], "dq_sent": [0.0, 0.0], "x_err": [0.01, 0.0], "T": T}
+    states = {"draw": drawn(1, 2), "since": 9.0, "correlated": [1.0, 0, 0, 0], "gathered": np.eye(4), "varied": 1.0}
+    states = dict(block.evaluate(u, states, robot="arm2").next)
+    assert [float(states[name]) for name in ("identified", "since")] == [1, 0]
+    tripped = list[bool]()
+    for _ in range(round(1 / T)):
+        item = block.evaluate({**u, "x_err": [9.0, 0.0]}, states, robot="arm2")
+        tripped.append(float(item.outputs["tripped"]) == 1)
+        states = {**item.next, "identified": 1}
+    assert tripped.index(True) == round(blanking / T)
+
+
 @pytest.mark.parametrize("settling", [0.0, 0.975])
 def test_its_regression_is_that_of_numpy(settling: float) -> None:
     found, q, u = played(KIND(delay_up_to=3, taps=4, lasting=100.0, settling=settling), 1, 0.3, 1)

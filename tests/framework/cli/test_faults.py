@@ -135,6 +135,10 @@ FAULTS = {
         ("run", "arm2_joint", "pendulum", "--set", "path.times=[0, 1]"),
         ": blocks.path.times: unknown parameter of sinusoid; choose from amplitude, center, phase, rate\n",
     ),
+    "set of a parameter without its block": (
+        (*RUN, "--set", "alpha_bar=1"),
+        "dmframe: --set alpha_bar=1: unknown block or key; choose from task.alpha_bar\n",
+    ),
     "set of a block that one of two lacks": (
         ("run", "ur10_fast", "ur10_fast_kinematic", "--set", "dynamics.Gamma=3"),
         "dmframe: ur10_fast_kinematic: --set dynamics.Gamma=3: unknown block or key; choose from arm, ",

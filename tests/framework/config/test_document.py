@@ -272,3 +272,9 @@ def test_a_file_over_one_megabyte_is_not_read(tmp_path: Path) -> None:
     with pytest.raises(DocumentError) as fault:
         read_file(file)
     assert str(fault.value) == f"{file}: a graph is at most 1 MB; is this the right file?"
+
+
+def test_a_robot_file_names_the_command_that_writes_a_graph_of_it(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    with pytest.raises(DocumentError, match=r"begins with dmframe: 1; `dmframe new` writes a graph of a robot$"):
+        read_file(tmp_path / "arm.urdf")

@@ -169,9 +169,19 @@ def test_seven_joints_without_limits_and_a_prismatic_one_get_a_box_of_their_own(
     found = dm.experiment(str(file), out=tmp_path / "e", seconds=6)
     assert np.all(np.abs(found.plan.q_c - found.room.start) <= np.array([0.3, 0.06, *[0.3] * 5]) + 1e-9)
     assert 0 < found.plan.q_c[:, 1].min() < found.plan.q_c[:, 1].max() < 0.5
-    assert any("self-collision is not checked" in text for text in found.notices)
+    assert any("self-collision is not checked: the robot's file has no collision" in text for text in found.notices)
     assert not (tmp_path / "e" / "experiment.script").exists()
     assert dm.load(tmp_path / "e" / "experiment.yaml").diagram.robot.n == 7
+
+
+def test_a_mesh_that_is_missing_is_named() -> None:
+    source = subject_of("ur10")
+    assert source.shapes is not None
+    tree, folder = source.shapes
+    assert not Obstacles(source.chain, (tree, folder), None).notes
+    next(tree.iterfind(".//collision//mesh")).set("filename", "package://arm/meshes/link.stl")
+    notes = Obstacles(source.chain, (tree, folder), None).notes
+    assert notes == ["self-collision is not checked: the mesh package://arm/meshes/link.stl was not found"]
 
 
 def test_the_log_of_a_drive_determines_the_servo_and_the_delay(tmp_path: Path) -> None:

@@ -113,6 +113,7 @@ def test_more_lost_commands_than_can_be_estimated_are_refused(log: Columns, tmp_
         ("0,1,2\n1,2,3\n", "expected a header"),
         ("0,1,1,0,0\n1,2,3,4,5\n", "expected a header with names of columns, found numbers"),
         ("t,q_1\n0,1\n1\n", ":3: expected 2 cells"),
+        ("t;q_1\n0;1,5\n", ":2: column q_1: expected a number, found '1,5'; write a decimal point"),
         ("t,q_1\n0,a\n", ":2: column q_1: expected a number, found 'a'"),
         ("q_1,q_2,q_3\n1,2,3\n", "expected a column of time"),
         ("t,q_1,q_2\n1,2,3\n", "expected those of 3 joints, found 2"),

@@ -237,7 +237,9 @@ def test_a_delay_with_a_wide_interval_is_drawn_and_a_controller_is_configured_on
 def test_settings_follow_the_rules_of_the_page_for_another_clock() -> None:
     packaged_20_ms = {"inverse.retention": 0.996, "inverse.average": 4, "probe.probe": 0.0117, "probe.taps": 8}
     longest = {f"{block}.delay_up_to": 4 for block in ("task", "probe", "inverse", "mix")}
-    assert settings(0.02, 1.0) == pytest.approx(packaged_20_ms | longest, rel=1e-4)
+    found = settings(0.02, 1.0)
+    assert (found.pop("mix.trial"), found.pop("inverse.inertia_size")) == (None, 5)  # as measured in the pages
+    assert found == pytest.approx(packaged_20_ms | longest, rel=1e-4)
     assert settings(0.008, 5.0)["mix.delay_up_to"] == 7
 
 
