@@ -48,10 +48,12 @@ MOST: Final = 24
 def linearised_interval(diagram: Diagram, clock: float | None, *, start: Mapping[str, Any] | None = None) -> float:
     """The interval T [s] of the loop linearised at its set-point, without the slope of Coulomb friction at rest.
 
+    The slope damps in the plant. In a controller that compensates friction it does not, so that both are compared.
+
     Raises
     ------
     DmframeError
-        No interval is proved.
+        No interval is proved, or with the slope the loop is unstable, in floating point, with equal intervals up to T.
     DisagreementError
         The linearised loop is unstable, in floating point, with equal intervals up to T.
     """
@@ -59,13 +61,20 @@ def linearised_interval(diagram: Diagram, clock: float | None, *, start: Mapping
         raise UndecidedError(f"it has {size} states; the search is limited to {LARGE}")
     linear = linearise(diagram, start=start, moving=True, clock=clock)
     found = find_storage(held_linearised(diagram, linear, clock or _SOME, moving=True)).interval
-    for part in (1.0, 0.5, 0.25):
-        if not linear.spectral_radius(part * found) <= 1 + _ROUNDING:
-            raise DisagreementError(
-                f"the interval of the linearised loop is withdrawn: sampled every {part * found:g} s, it is unstable "
-                "in floating point; this indicates a defect of dmframe or of a block, please report it"
-            )
+    if (period := _unstable(linear, found)) is not None:
+        raise DisagreementError(
+            f"the interval of the linearised loop is withdrawn: sampled every {period:g} s, it is unstable "
+            "in floating point; this indicates a defect of dmframe or of a block, please report it"
+        )
+    if (period := _unstable(linearise(diagram, start=start, clock=clock), found)) is not None:
+        raise UndecidedError(f"with the slope of Coulomb friction at rest it is unstable, sampled every {period:g} s")
     return found
+
+
+def _unstable(linear: Linear, longest: float) -> float | None:
+    """One of three periods up to the longest at which the sampled loop is unstable; None without one."""
+    periods = (part * longest for part in (1.0, 0.5, 0.25))
+    return next((period for period in periods if not linear.spectral_radius(period) <= 1 + _ROUNDING), None)
 
 
 @precise()

@@ -38,7 +38,7 @@ def clock_text(proof: ClockProof) -> str:
             limit = plain(rounded_down(proof.linearised), "s")
             lines.append(
                 f"linearised at its set-point, a storage function falls for all intervals up to {limit}, equal or not; "
-                "this is about the linearisation"
+                "this is about the linearisation, without the slope of Coulomb friction at rest"
             )
         if proof.linearised_reason:
             lines.append(f"linearised at its set-point it has no such interval: {proof.linearised_reason}")

@@ -103,3 +103,20 @@ def test_sampled_laws_and_many_held_signals_have_none(monkeypatch: pytest.Monkey
     monkeypatch.setattr(module, "MOST", 5)
     with pytest.raises(UndecidedError, match="6 signals are held; the search is limited to 5"):
         held_linearised(dm.load("arm2_joint").diagram, linear("arm2_joint"), 0.002, moving=True)
+
+
+@pytest.mark.parametrize("excess", [1, 20])
+def test_a_compensation_of_friction_that_destabilises_at_rest_leaves_no_interval(excess: float) -> None:
+    """The slope of the compensation at rest multiplies the gain of the position error; when moving it is zero."""
+    friction = [5, 5, 2, *(excess * np.array([8, 8, 4]))]
+    changes = {"model.nominal": 1, "dynamics.a_d_hat_box": None, "dynamics.a_d_hat": [*[0] * 30, *friction]}
+    gains = {"dynamics.Gamma": 1, "inverse.w": [1 / 800, 1 / 800, 1 / 400], "inverse.w_box": None}
+    graph = dm.load("joint_tracking_bounded").set({**changes, **gains})
+    moving, at_rest = (linearise(graph.diagram, start=graph.start, moving=m, clock=0.002) for m in (True, False))
+    assert moving.spectral_radius(0.15) < 1
+    assert (at_rest.spectral_radius(0.15) < 1) == (excess == 1)
+    if excess == 1:
+        assert linearised_interval(graph.diagram, 0.002, start=graph.start) > 0.15
+    else:
+        with pytest.raises(UndecidedError, match="with the slope of Coulomb friction at rest it is unstable"):
+            linearised_interval(graph.diagram, 0.002, start=graph.start)
