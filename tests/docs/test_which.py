@@ -341,10 +341,9 @@ def test_what_the_page_states_of_the_competitors_agrees_with_the_table(
     }
     assert set(least.values()) == {titles[12]}
     below = {at for at in least if float(cells[series, at]["rms_final"]) < float(cells[least[at], at]["rms_final"])}
-    assert below == {stiff[1]["title"], real[0]}
+    assert below == {stiff[1]["title"]}
     assert round(1e7 * float(cells[series, stiff[1]["title"]]["rms_final"])) == 153
     rms = [float(cells[title, real[0]]["rms_final"]) for title in titles]
-    assert round(100 * (1 - float(cells[series, real[0]]["rms_final"]) / rms[12])) == 10
     limited = {(title, circle) for title in titles for circle in real if float(cells[title, circle]["at_limits"]) > 0}
     assert limited == {(title, circle) for title in titles[:2] for circle in real} | {(titles[6], real[0])}
     assert rms[5] < 1.1 * float(cells[titles[5], ideal[0]]["rms_final"])
