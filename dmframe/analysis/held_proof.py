@@ -34,6 +34,8 @@ class ClockProof:
         With a proof: the states of the storage function, and the signals that are held.
     over
         With a proof: the uncertain parameters over whose intervals it holds; empty if for the graph's numbers.
+    bounded
+        With a proof: True if the plant is nonlinear, so that it holds for states up to `dmframe.analysis.held.FAR`.
     reason
         Without a proof: the reason.
     rise
@@ -50,6 +52,7 @@ class ClockProof:
     states: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     over: tuple[str, ...] = ()
+    bounded: bool = False
     reason: str = ""
     rise: Rise | None = None
     linearised: float | None = None
@@ -108,7 +111,7 @@ def prove_clock(
     try:
         slopes = held_slopes(diagram, own)
         interval = interval_over_box(slopes, own)
-        return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own))
+        return ClockProof(clock, interval, slopes.states, slopes.held, over=_stated(own), bounded=not slopes.linear)
     except DmframeError as fault:
         if any(other_steps(diagram.loop)):
             return ClockProof(clock, reason=fault.text)

@@ -3,7 +3,8 @@ r"""States from which V of a certificate rises over every short sampling interva
 A certificate in continuous time states :math:`\dot V = -d(x)` along the loop, :math:`d \ge 0`. On a clock the run is
 the flow with a held input v (`dmframe.analysis.held`), with :math:`\dot x = F(x, v)` and v = k(x) at the sample. From a
 state with d(x) = 0 the first derivative of V is zero in both. Since d is not negative, it is smallest there, so that
-the second derivative is zero in continuous time. With the held input it lacks the change of k:
+the second derivative is zero in continuous time, unless an operation in d switches, which is refused. With the held
+input it lacks the change of k:
 
 .. math:: V(x(T)) - V(x(0)) = \tfrac12 \rho\, T^2 + O(T^3), \qquad
           \rho = -\frac{\partial V}{\partial x} \frac{\partial F}{\partial v} \frac{d k}{d t}                  \tag{1}
@@ -27,6 +28,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.analysis.held import switches
 from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
 from dmframe.certify.claim import Claim, total
@@ -100,6 +102,8 @@ class _Search:
         claim, loop = self._claim, self._loop
         if any(part.certificate.residual for part in claim.parts) or loop.discrete_time or loop.second_order:
             return None
+        if not self._is_smooth(self._dissipation()):
+            return None
         room = stack(ca.vec(ca.densify(item.set.room(item.state))) for item in loop.projections)
         expressions = self._at_rest([*self._shares(), room, self._dissipation(), loop.state])
         if not symbols_of(claim).vanishes("dissipation", ca.densify(expressions[3])):
@@ -137,6 +141,12 @@ class _Search:
     def _dissipation(self) -> SX:
         claim = self._claim
         return total([part.dissipation for part in claim.parts]) + claim.consumption
+
+    def _is_smooth(self, expression: SX) -> bool:
+        """True if no operation on a state or a signal switches: the least value of d then has no slope."""
+        symbols, constants = ca.symvar(ca.densify(expression)), self._loop.constants
+        moving, fixed = ([x for x in symbols if (x.element_hash() in constants) is kept] for kept in (False, True))
+        return not any(switches(moving, fixed, expression))
 
     def _inside(self, expression: SX) -> SX:
         """The expression with inactive projections."""

@@ -24,6 +24,10 @@ def clock_text(proof: ClockProof) -> str:
             f"a storage function of {', '.join(proof.states)} falls between samples and at them; the difference of "
             "two motions on one path goes to zero in these states",
         ]
+        if proof.bounded:
+            from dmframe.analysis.held import FAR
+
+            lines.append(f"for all angles, and other states up to {FAR:.0f} in their units")
         if proof.over:
             lines.append(f"for all robots in the intervals of {', '.join(proof.over)}")
     else:

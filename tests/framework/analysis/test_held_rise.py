@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from functools import cache
 
+import casadi as ca
 import jsonschema
 import numpy as np
 import pytest
 
 import dmframe as dm
 from dmframe.analysis.held_proof import prove_clock
-from dmframe.analysis.held_rise import Rise, rise_of
+from dmframe.analysis.held_rise import Rise, _Search, rise_of
 from dmframe.block.model import SYMBOLIC
 from dmframe.certify.claim import claim_of
 from dmframe.certify.schema import verdict_schema
@@ -64,6 +65,19 @@ def test_the_state_is_inside_the_boxes_of_the_estimates() -> None:
 def test_a_loop_over_samples_or_with_a_residual_has_none() -> None:
     assert found(dm.load("ur10_slow_sampled")) is None
     assert found(dm.load("slotine_li").set({"dynamics.leak": 0.1})) is None
+
+
+def test_a_dissipation_with_an_edge_at_rest_leaves_no_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of friction that is a sign: V then has a share of the first order in the velocity, which may outweigh rho."""
+    honest = _Search._dissipation
+
+    def edged(self: _Search) -> ca.SX:
+        (dq,) = (v.symbol for v in self._loop.flowing if v.name == "dq")
+        return honest(self) + ca.sum1(ca.fabs(dq))
+
+    assert found(still("slotine_li")) is not None
+    monkeypatch.setattr(_Search, "_dissipation", edged)
+    assert found(still("slotine_li")) is None
 
 
 def test_verify_prints_the_interval_next_to_the_clock() -> None:

@@ -19,6 +19,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.ball_matrix import middles, radii
 from dmframe.exact.balls import UndecidedError
+from dmframe.report.clock_text import clock_text
 from tests.framework.analysis.test_held import largest_equal_period
 
 RUBBING = """
@@ -183,3 +184,17 @@ def test_an_angle_that_more_than_sines_read_is_not_limited_to_a_turn() -> None:
     assert 2 <= only < 2.1
     both = radii(slopes(lambda y, u: u + ca.sin(y) * y).own.A)[0, 0]
     assert both > 1e5
+
+
+@pytest.mark.parametrize(("name", "bounded"), [("pendulum_kinematic", True), ("pd_torque", False)])
+def test_the_text_of_a_nonlinear_plant_has_the_limit_of_its_states(name: str, bounded: bool) -> None:
+    loop = dm.load(name)
+    text = clock_text(prove_clock(loop.diagram, loop.clock))
+    assert ("for all angles, and other states up to 1000000 in their units" in text) == bounded
+
+
+@pytest.mark.parametrize("far", [1e5, 1e8])
+def test_slopes_beyond_the_limit_are_not_seen(far: float) -> None:
+    """Near 10^5 the plant is unstable, which is found; near 10^8 it is outside of the statement."""
+    diagram = Diagram.build({"law": Law(), "plant": plant(lambda s, u: u + 9 * ca.atan(s - far))})
+    assert (prove_clock(diagram, 0.01).interval is None) == (far < 1e6)

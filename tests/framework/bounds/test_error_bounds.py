@@ -347,7 +347,6 @@ class Load(AbstractBlock):
 def test_a_load_of_an_own_block_that_changes_at_some_time_in_some_robot_has_no_bound(
     mass: str, T: float, over: float, bounded: bool, tmp_path: Path
 ) -> None:
-    """After 100 s, or in the robots with a mass from 4.999 to 5 kg only, for example."""
     (tmp_path / "load.py").write_text(LOAD.replace("MASS", mass))
     text = Path(dm.load("joint_tracking_bounded").document.name).read_text()
     own = text.replace("{type: payload, mass: [2], at: [0]}", f"{{type: load.py:Load, T: {T}}}")
