@@ -74,7 +74,7 @@ def test_the_page_shows_what_is_kept(which: ModuleType, reported: dict[str, Any]
     fill = which.fill
     assert fill(text, [*rows.values()], laws, limits, reported) == text, "stale; run: python docs/make_which.py --draw"
     moved = [dict(row) for row in laws]
-    moved[3]["rms_final"] = "0.5"
+    moved[2]["rms_final"] = "0.5"
     assert fill(text, [*rows.values()], moved, limits, reported) != text
     assert fill(text, [*rows.values()], laws, [{**row, "room": "-0.01"} for row in limits], reported) != text
     assert fill(text, [{**row, "learnt": "none"} for row in rows.values()], laws, limits, reported) != text

@@ -145,7 +145,8 @@ def test_a_sampled_condition_is_reported_as_sampled_and_not_proved() -> None:
 
 def test_a_proof_in_continuous_time_names_the_sampling_below_the_headline() -> None:
     says = "in continuous time: sampling every 2 ms is not covered; see `dmframe analyse`"
-    assert str(Graph.read("arm2_joint").verify()).splitlines()[2].strip() == says
+    text = " ".join(str(Graph.read("arm2_joint").verify()).split())  # a narrow terminal wraps lines
+    assert text.index(says) < text.index("conditions")
     assert "is not covered" not in str(Graph.read("pendulum").verify())  # in continuous time
 
 
