@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -10,10 +10,13 @@ from dmframe.analysis.held import held_slopes, other_steps
 from dmframe.analysis.held_box import interval_over_box
 from dmframe.analysis.held_linearised import linearised_interval
 from dmframe.analysis.held_rise import Rise, rise_of
+from dmframe.block.model import SYMBOLIC
+from dmframe.certify import Verdict
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
 from dmframe.certify.uncertain import FACTOR, tie_of
 from dmframe.common.errors import DisagreementError, DmframeError
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
 
@@ -136,4 +139,19 @@ def _stated(uncertain: Collection[str]) -> tuple[str, ...]:
     return tuple(label for label in uncertain if label not in products and not label.endswith(FACTOR))
 
 
-__all__ = ["ClockProof", "prove_clock"]
+def clock_proof_of(graph: BaseGraph, verdict: Verdict, seed: int, tell: Callable[[str], None]) -> ClockProof:
+    """`prove_clock` of a graph over its intervals, with the claim of its verdict if that is proved."""
+    tell("looking for sampling intervals")
+    with graph.placing(), SYMBOLIC:
+        return prove_clock(
+            graph.diagram,
+            graph.clock,
+            verdict.flow_claim if verdict.outcome == "proved" else None,
+            uncertain=graph.intervals(),
+            kappa=1.0 if verdict.kappa is None else float(verdict.kappa.chosen),
+            seed=seed,
+            start=graph.start,
+        )
+
+
+__all__ = ["ClockProof", "clock_proof_of", "prove_clock"]

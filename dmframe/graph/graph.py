@@ -16,9 +16,7 @@ from dmframe.graph.doubts import doubts
 from dmframe.graph.progress import progress_line, shown
 
 if TYPE_CHECKING:
-    from dmframe.analysis.held_proof import ClockProof
     from dmframe.bounds.given import Torque
-    from dmframe.certify import Verdict
     from dmframe.drawing import Drawing
     from dmframe.drive import Rehearsal, Replay
     from dmframe.export import TargetFunction
@@ -153,26 +151,11 @@ class Graph(BaseGraph):
         with progress_line(self.name) as tell:
             tell("proving")
             verdict = self.verdict(seed=seed, copies=True, over=until, disturbance=torques)
-            if clock:
-                tell("looking for sampling intervals")
-            sampling = self._on_its_clock(verdict, seed) if clock else None
-        return Verification(self, verdict, seed, sampling=sampling)
+            if not clock:
+                return Verification(self, verdict, seed)
+            from dmframe.analysis.held_proof import clock_proof_of
 
-    def _on_its_clock(self, verdict: Verdict, seed: int) -> ClockProof:
-        from dmframe.analysis.held_proof import prove_clock
-
-        claim = verdict.flow_claim if verdict.outcome == "proved" else None
-        kappa = 1.0 if verdict.kappa is None else float(verdict.kappa.chosen)
-        with self.placing(), SYMBOLIC:
-            return prove_clock(
-                self.diagram,
-                self.clock,
-                claim,
-                uncertain=self.intervals(),
-                kappa=kappa,
-                seed=seed,
-                start=self.start,
-            )
+            return Verification(self, verdict, seed, sampling=clock_proof_of(self, verdict, seed, tell))
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:
         """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.

@@ -20,22 +20,10 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.exact.ball_matrix import middles, radii
 from dmframe.exact.balls import UndecidedError
 from dmframe.report.clock_text import clock_text
-from tests.framework.analysis.test_held import largest_equal_period
+from tests.framework.analysis.test_held import SERVO, largest_equal_period
 
-RUBBING = """
-dmframe: 1
-title: One joint with a vertical axis and Coulomb friction through a servo
-robot: {model: ur10, free: [shoulder_pan_joint], tool: ee_link}
-clock: 8 ms
-duration: 10 s
-start: {q: [0 deg]}
-blocks:
-  path:    {type: sinusoid, center: [0], amplitude: [0.3], rate: [0.5]}
-  task:    {type: joint_tracking, alpha_bar: 2}
-  inverse: {type: kinematic_command}
-  servo:   {type: pi_servo, K_P: 800, K_I: 1760}
-  arm:     {type: manipulator, viscous: 5, coulomb: 8}
-"""
+RUBBING = SERVO.replace("viscous: 5}", "viscous: 5, coulomb: 8}")
+"""One joint with a vertical axis and Coulomb friction."""
 
 
 class Law(AbstractBlock):
