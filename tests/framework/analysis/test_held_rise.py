@@ -112,3 +112,9 @@ def test_a_loop_without_a_certificate_may_have_an_interval() -> None:
     graph = dm.load("pd_torque")
     assert prove_clock(graph.diagram, None).interval == prove_clock(graph.diagram, 0.002).interval
     assert not prove_clock(graph.diagram, None).covers_clock
+
+
+def test_sampling_is_said_not_to_be_covered_only_where_it_is_not() -> None:
+    graph, says = dm.load("pd_torque"), "sampling every 2 ms is not covered"
+    assert says in " ".join(str(graph.verify()).split())
+    assert says not in " ".join(str(graph.verify(clock=True)).split())
