@@ -145,7 +145,7 @@ class Verification(AboutGraph):
         return _restored, (self.graph, verdict, self.seed, self.label, self.sampling)
 
     def __str__(self) -> str:
-        covered = self.sampling is not None and self.sampling.covers_clock  # said below, with the intervals
+        covered = self.sampling is not None and self.sampling.covers_clock  # printed below, with the intervals
         clock = None if covered else self.graph.clock
         text = verdict_text(self.name, self.verdict, notices=self.notices, clock=clock)
         if self.sampling is not None:

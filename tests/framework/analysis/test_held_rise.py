@@ -114,7 +114,7 @@ def test_a_loop_without_a_certificate_may_have_an_interval() -> None:
     assert not prove_clock(graph.diagram, None).covers_clock
 
 
-def test_sampling_is_said_not_to_be_covered_only_where_it_is_not() -> None:
+def test_the_restriction_to_continuous_time_is_printed_only_where_it_holds() -> None:
     graph, says = dm.load("pd_torque"), "sampling every 2 ms is not covered"
     assert says in " ".join(str(graph.verify()).split())
     assert says not in " ".join(str(graph.verify(clock=True)).split())
